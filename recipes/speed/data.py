@@ -14,7 +14,7 @@ from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.data import SampleView
 from sphericalvision.recipes.speed.measuring import Comparison
 from sphericalvision.scenes import World, WorldSamples
-from sphericalvision.scenes.recipes import make_scene, render_rig
+from sphericalvision.scenes.procedural import make_scene, render_rig
 from sphericalvision.scenes.registry import scene_kinds
 
 __all__ = ["data"]

@@ -1,20 +1,20 @@
 from .kinds.labels import SURFACE_LABELS as SURFACE_LABELS
-from .recipes import (
+from .procedural import (
     Scene as Scene,
 )
-from .recipes import (
+from .procedural import (
     make_scene as make_scene,
 )
-from .recipes import (
+from .procedural import (
     ray_depth as ray_depth,
 )
-from .recipes import (
+from .procedural import (
     render_camera as render_camera,
 )
-from .recipes import (
+from .procedural import (
     render_directions as render_directions,
 )
-from .recipes import (
+from .procedural import (
     render_rig as render_rig,
 )
 from .rendering.mesh_scene import MeshScene as MeshScene

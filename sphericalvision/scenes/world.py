@@ -20,8 +20,7 @@ from sphericalvision.scenes.carriers import CARRIERS, Carried, carrier_masks, wi
 from sphericalvision.scenes.disturbances import DISPLAY, CameraDisturbance, RandomFaults, turned_poses
 from sphericalvision.scenes.draws import Draws, by_seed
 from sphericalvision.scenes.meshes import MeshFiles
-from sphericalvision.scenes.random_rigs import TILT_SPREAD
-from sphericalvision.scenes.recipes import (
+from sphericalvision.scenes.procedural import (
     exposed,
     make_scene,
     ray_depth,
@@ -29,6 +28,7 @@ from sphericalvision.scenes.recipes import (
     under_another_sky,
     unlit,
 )
+from sphericalvision.scenes.random_rigs import TILT_SPREAD
 from sphericalvision.scenes.registry import kind_of, scene_kinds
 from sphericalvision.scenes.rendering.mesh_scene import MeshScene
 from sphericalvision.scenes.rendering.scene import Scene

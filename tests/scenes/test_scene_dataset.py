@@ -22,7 +22,7 @@ from sphericalvision.core import ShapeError
 from sphericalvision.data import SampleView
 from sphericalvision.data.augmentation.fivefold import RotateFivefold, rotate_fivefold
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.scenes.recipes import make_scene, ray_depth, render_directions
+from sphericalvision.scenes.procedural import make_scene, ray_depth, render_directions
 from tests.worlds import scenes
 
 Sample = dict[str, Any]

@@ -16,7 +16,7 @@ from sphericalvision.cameras import EquirectangularCamera
 from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.scenes import registry
-from sphericalvision.scenes.recipes import make_scene, ray_depth, render_camera, render_directions
+from sphericalvision.scenes.procedural import make_scene, ray_depth, render_camera, render_directions
 from sphericalvision.scenes.registry import kind_of, register_scene, scene_kinds, scene_recipe
 from sphericalvision.scenes.rendering.scene import Scene
 

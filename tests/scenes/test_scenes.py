@@ -13,7 +13,13 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, EquirectangularCamera, FisheyeCamera
 from sphericalvision.core import ArgumentError, MissingFileError
-from sphericalvision.scenes.recipes import make_scene, ray_depth, render_camera, render_directions, render_rig
+from sphericalvision.scenes.procedural import (
+    make_scene,
+    ray_depth,
+    render_camera,
+    render_directions,
+    render_rig,
+)
 from sphericalvision.scenes.registry import scene_kinds, under_other_skies
 from sphericalvision.scenes.rendering.primitives import Part, pack
 from sphericalvision.scenes.rendering.scene import Lamp, Material, Scene, pack_lamps, pack_materials

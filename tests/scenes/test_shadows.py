@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import EquirectangularCamera, FisheyeCamera
-from sphericalvision.scenes.recipes import make_scene, ray_depth, render_camera, render_directions
+from sphericalvision.scenes.procedural import make_scene, ray_depth, render_camera, render_directions
 from sphericalvision.scenes.registry import scene_kinds
 from sphericalvision.scenes.rendering.primitives import SHAPES, Part, Primitives, pack
 from sphericalvision.scenes.rendering.ray_packets import (

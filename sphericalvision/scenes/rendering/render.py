@@ -43,7 +43,7 @@ def ray_depth(
         Metres along each ray ``(*)``; inf where the ray leaves the scene.
 
     Examples:
-        >>> from sphericalvision.scenes.recipes import make_scene
+        >>> from sphericalvision.scenes.procedural import make_scene
         >>> depth = ray_depth(make_scene("room", seed=0), torch.zeros(3), torch.tensor([[0.0, 1.0, 0.0]]))
         >>> bool(depth > 0.5)
         True

@@ -144,7 +144,7 @@ def f():
     from sphericalvision.icosphere import topology
     return topology._private
 """
-    assert len(list(private_crossings("sphericalvision.sphere.grids.base", ast.parse(program)))) == 2
+    assert len(list(private_crossings("sphericalvision.sphere.grids.sphere_grid", ast.parse(program)))) == 2
     assert not list(private_crossings("sphericalvision.icosphere.areas", ast.parse(program)))
     uses = "self._a(), cls._b, super()._c(), camera._map(f), self.cameras[0]._project(x), a.__len__()"
     assert list(private_uses(ast.parse(uses))) == ["_map", "_project"]

@@ -17,12 +17,12 @@ from sphericalvision.core import ArgumentError, check_file
 from sphericalvision.data import PhotometricAugmentation
 from sphericalvision.data.augmentation.transforms import Compose
 from sphericalvision.data.sample_view import ToView
-from sphericalvision.data.scanned.base import ScannedFrames
 from sphericalvision.data.scanned.deep360 import Deep360Dataset
 from sphericalvision.data.scanned.helvipad import PUBLISHED, HelvipadDataset
 from sphericalvision.data.scanned.kitti360 import Kitti360Dataset
 from sphericalvision.data.scanned.omnipus import OmniPusDataset
 from sphericalvision.data.scanned.own import OwnScans
+from sphericalvision.data.scanned.scanned_frames import ScannedFrames
 from sphericalvision.data.scanned.spires import SpiresDataset
 from sphericalvision.recipes.app.captures import Capture
 from sphericalvision.recipes.app.kinds import Count, HalfAngle, Names, Positive, Share, Size, Text, Unit

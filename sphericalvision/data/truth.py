@@ -13,7 +13,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import Camera
 from sphericalvision.core import ArgumentError, ShapeError, check_floating
-from sphericalvision.sphere.grids.base import SphereGrid
+from sphericalvision.sphere.grids.sphere_grid import SphereGrid
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree

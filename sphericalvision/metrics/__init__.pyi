@@ -1,7 +1,7 @@
-from .depth import DepthError as DepthError
-from .depth import DepthIndexError as DepthIndexError
-from .depth import depth_error as depth_error
-from .depth import depth_index_error as depth_index_error
+from .depth_errors import DepthError as DepthError
+from .depth_errors import DepthIndexError as DepthIndexError
+from .depth_errors import depth_error as depth_error
+from .depth_errors import depth_index_error as depth_index_error
 from .masks import evaluation_mask as evaluation_mask
 from .masks import seam_mask as seam_mask
 from .omnimvs import OmniMVSError as OmniMVSError

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.metrics.depth import depth_index_error
+from sphericalvision.metrics.depth_errors import depth_index_error
 from sphericalvision.metrics.images import MeanOverImages
 
 __all__ = ["OmniMVSError", "omnimvs_error"]

@@ -5,7 +5,6 @@ from .convolutions.seamless import make_seamless as make_seamless
 from .convolutions.sphere_conv import SphereConv2d as SphereConv2d
 from .convolutions.sphere_conv import sphere_conv2d as sphere_conv2d
 from .convolutions.sphere_conv import sphere_taps as sphere_taps
-from .grids.base import SphereGrid as SphereGrid
 from .grids.cube_layouts import cube_from_layout as cube_from_layout
 from .grids.cube_layouts import cube_to_layout as cube_to_layout
 from .grids.cube_padding import cube_pad as cube_pad
@@ -16,6 +15,7 @@ from .grids.healpix_pixels import nested_from_ring as nested_from_ring
 from .grids.healpix_pixels import ring_from_nested as ring_from_nested
 from .grids.healpix_pyramid import healpix_pool as healpix_pool
 from .grids.healpix_pyramid import healpix_upsample as healpix_upsample
+from .grids.sphere_grid import SphereGrid as SphereGrid
 from .grids.tangent import TangentImages as TangentImages
 from .resampling.resample import Resample as Resample
 from .resampling.resample import resample as resample

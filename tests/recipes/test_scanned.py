@@ -16,7 +16,6 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, KannalaBrandtCamera, read_trajectory, ring_rig
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
-from sphericalvision.data.scanned.base import ScannedFrames
 from sphericalvision.data.scanned.deep360 import Deep360Dataset
 from sphericalvision.data.scanned.helvipad import (
     BASELINE,
@@ -27,6 +26,7 @@ from sphericalvision.data.scanned.helvipad import (
 from sphericalvision.data.scanned.kitti360 import Kitti360Dataset
 from sphericalvision.data.scanned.omnipus import OmniPusDataset
 from sphericalvision.data.scanned.own import OwnScans
+from sphericalvision.data.scanned.scanned_frames import ScannedFrames
 from sphericalvision.data.scanned.spires import SpiresDataset
 from sphericalvision.io.images import write_pages
 from sphericalvision.scenes import Scene, ray_depth, render_rig

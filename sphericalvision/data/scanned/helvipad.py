@@ -19,7 +19,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, EquirectangularCamera
 from sphericalvision.core import FileFormatError, MissingFileError, check_choice
-from sphericalvision.data.scanned.base import Sample, ScannedFrames, read_raster
+from sphericalvision.data.scanned.scanned_frames import Sample, ScannedFrames, read_raster
 from sphericalvision.io.images import read_image_size
 from sphericalvision.sphere import Equirectangular
 

@@ -21,7 +21,7 @@ from sphericalvision.cameras.calibration.parsing import numbers
 from sphericalvision.cameras.calibration.poses import transform_from_rows
 from sphericalvision.core import FileFormatError, MissingFileError, check_file
 from sphericalvision.data.point_files import read_points
-from sphericalvision.data.scanned.base import Sample, ScannedFrames
+from sphericalvision.data.scanned.scanned_frames import Sample, ScannedFrames
 from sphericalvision.geometry import invert_transform, transform_from_axis_angle, transform_points
 from sphericalvision.geometry.transforms import axis_angle_from_transform
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig, KannalaBrandtCamera
 from sphericalvision.cameras.calibration.files import load
 from sphericalvision.core import FileFormatError, check_choice, check_file
-from sphericalvision.data.scanned.base import Sample, ScannedFrames, read_raster
+from sphericalvision.data.scanned.scanned_frames import Sample, ScannedFrames, read_raster
 from sphericalvision.data.scanned.spires import OURS_FROM_LIDAR
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.io.images import read_mask

@@ -14,7 +14,7 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import MissingFileError
 from sphericalvision.data.point_files import POINT_SUFFIXES, read_points
-from sphericalvision.data.scanned.base import Sample, ScannedFrames
+from sphericalvision.data.scanned.scanned_frames import Sample, ScannedFrames
 from sphericalvision.geometry import transform_points
 from sphericalvision.io.times import SAME_TIME, are_counts, nearest_in_time, seconds
 

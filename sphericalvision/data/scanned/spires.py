@@ -13,7 +13,7 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig, read_rig
 from sphericalvision.core import MissingFileError
 from sphericalvision.data.point_files import read_points
-from sphericalvision.data.scanned.base import Sample, ScannedFrames
+from sphericalvision.data.scanned.scanned_frames import Sample, ScannedFrames
 from sphericalvision.geometry import transform_points
 from sphericalvision.io.times import SAME_TIME, nearest_in_time, seconds
 

@@ -10,10 +10,10 @@ from torch import Tensor
 from sphericalvision.core import check_last_dim, full_precision
 from sphericalvision.geometry import normalize
 from sphericalvision.geometry.directions import check_directions, safe_sqrt
-from sphericalvision.sphere.grids.base import GridModule, check_cells, check_positive, check_values
 from sphericalvision.sphere.grids.cube_layouts import CUBE_FACES, world_from_cube_face
 from sphericalvision.sphere.grids.cube_padding import faces_continued
 from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels
+from sphericalvision.sphere.grids.sphere_grid import GridModule, check_cells, check_positive, check_values
 
 __all__ = ["Cubemap"]
 

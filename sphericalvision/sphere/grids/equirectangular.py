@@ -26,7 +26,7 @@ from sphericalvision.geometry.panorama import (
     limits_in_words,
     longitude_within,
 )
-from sphericalvision.sphere.grids.base import GridModule, check_cells, check_positive, check_values
+from sphericalvision.sphere.grids.sphere_grid import GridModule, check_cells, check_positive, check_values
 
 __all__ = ["Equirectangular"]
 

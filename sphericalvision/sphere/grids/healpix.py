@@ -13,7 +13,6 @@ from sphericalvision.core import check_choice, check_last_dim
 from sphericalvision.geometry import longitude_latitude_from_directions, normalize
 from sphericalvision.geometry.directions import check_directions, safe_hypot
 from sphericalvision.geometry.lookup import weighted_sums
-from sphericalvision.sphere.grids.base import GridModule, check_cells, check_positive
 from sphericalvision.sphere.grids.healpix_pixels import (
     direction_of_place,
     neighbor_places,
@@ -26,6 +25,7 @@ from sphericalvision.sphere.grids.healpix_pixels import (
     ring_start_count_shift,
     ring_theta,
 )
+from sphericalvision.sphere.grids.sphere_grid import GridModule, check_cells, check_positive
 
 __all__ = ["Healpix"]
 

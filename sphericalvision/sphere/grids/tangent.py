@@ -13,8 +13,8 @@ from sphericalvision.core import ArgumentError, check_last_dim, full_precision
 from sphericalvision.geometry.directions import check_directions, moderate_lengths
 from sphericalvision.icosphere import icosphere_faces, icosphere_vertices, locate, num_icosphere_vertices
 from sphericalvision.icosphere.topology import check_level
-from sphericalvision.sphere.grids.base import GridModule, check_cells, check_positive, check_values
 from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels
+from sphericalvision.sphere.grids.sphere_grid import GridModule, check_cells, check_positive, check_values
 
 __all__ = ["TangentImages", "solid_angles_in_triangle"]
 

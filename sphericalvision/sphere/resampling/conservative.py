@@ -20,7 +20,7 @@ from torch import Tensor, nn
 
 from sphericalvision.cameras import Camera
 from sphericalvision.core import ArgumentError
-from sphericalvision.sphere.grids.base import SphereGrid
+from sphericalvision.sphere.grids.sphere_grid import SphereGrid
 from sphericalvision.sphere.resampling.supersampling import cell_samples, cell_widths
 
 __all__ = ["Overlaps", "overlaps"]

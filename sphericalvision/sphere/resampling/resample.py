@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from sphericalvision.cameras import Camera
 from sphericalvision.geometry.masked_lookup import LookupModule
-from sphericalvision.sphere.grids.base import SphereGrid, check_values
+from sphericalvision.sphere.grids.sphere_grid import SphereGrid, check_values
 from sphericalvision.sphere.resampling.resample_tables import RESAMPLE_MODES, resample_tables
 from sphericalvision.sphere.resampling.supersampling import grid_shape
 

@@ -24,8 +24,8 @@ from sphericalvision.cameras.remapping.lookup import image_edges, nearest_pixel
 from sphericalvision.core import check_choice, check_tensor, check_type
 from sphericalvision.geometry.lookup import ImageLookup, Lookup
 from sphericalvision.geometry.masked_lookup import MaskedLookup
-from sphericalvision.sphere.grids.base import SphereGrid
 from sphericalvision.sphere.grids.equirectangular import Equirectangular
+from sphericalvision.sphere.grids.sphere_grid import SphereGrid
 from sphericalvision.sphere.resampling.conservative import overlaps
 from sphericalvision.sphere.resampling.supersampling import cell_samples, cell_widths, grid_shape
 

@@ -15,7 +15,7 @@ from sphericalvision.cameras import Camera, EquirectangularCamera
 from sphericalvision.cameras.remapping.area import pixel_samples
 from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere, icosphere_neighbors, icosphere_vertices
-from sphericalvision.sphere.grids.base import SphereGrid
+from sphericalvision.sphere.grids.sphere_grid import SphereGrid
 
 __all__ = ["CellSamples", "cell_samples", "cell_widths", "grid_shape", "pixel_solid_angles"]
 

@@ -19,8 +19,8 @@ from sphericalvision.cameras.remapping.views import checked_angles, rotation_fro
 from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_tensor
 from sphericalvision.geometry import angle_from_axis
 from sphericalvision.geometry.directions import holds
-from sphericalvision.sphere.grids.base import SphereGrid, check_values
 from sphericalvision.sphere.grids.cube_layouts import world_from_cube_face
+from sphericalvision.sphere.grids.sphere_grid import SphereGrid, check_values
 from sphericalvision.sphere.grids.tangent import TangentImages
 from sphericalvision.sphere.resampling.resample_tables import resample_tables
 from sphericalvision.sphere.resampling.supersampling import cell_widths, grid_shape, pixel_solid_angles

@@ -13,14 +13,14 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import ring_rig
-from sphericalvision.capture import Predictor, graphs, pipeline
+from sphericalvision.capture import Predictor, graphs
 from sphericalvision.capture.graphs import GraphedFunction, NoWaiting
 from sphericalvision.capture.pipeline import Pipeline
-from sphericalvision.capture.preparation import photometry, preparation
+from sphericalvision.capture.preparation import preparation
 from sphericalvision.capture.preparation.photometry import eliminated
 from sphericalvision.capture.preparation.preparation import Preparation, bilateral
-from sphericalvision.core import ArgumentError
-from sphericalvision.models import OmniMVS, WinnerTakesAll
+from sphericalvision.core import ArgumentError, kernels
+from sphericalvision.models import IcoSweepNet, OmniMVS, WinnerTakesAll, pretrained
 from sphericalvision.scenes import make_scene, render_rig
 from sphericalvision.scenes.disturbances import vignetted
 from sphericalvision.sweep import DepthEstimate
@@ -54,14 +54,6 @@ class NoHost(NoWaiting):
     WAITS = (*NoWaiting.WAITS, "lift_fresh")
 
 
-def as_device(patch: pytest.MonkeyPatch) -> None:
-    """Have computed here what a device that is no CPU computes."""
-    for module in (preparation, pipeline):
-        patch.setattr(module, "needed", lambda condition: True)
-    patch.setattr(photometry, "solved", eliminated)
-    patch.setattr(preparation, "_filtered_by_opencv", bilateral)
-
-
 @pytest.mark.parametrize(
     "images",
     [room(), room(loss=0.6), room(noise=0.05), room(0.1), room(0.0)],
@@ -79,8 +71,7 @@ def test_a_device_is_told_everything_at_once_and_finds_what_a_cpu_finds(images: 
         colors = {name: image.float() / 255 for name, image in given.items()}
         inputs, corrections = made.inputs(colors, Preparation())
         expected = [correction.compensation(RIG) for correction in corrections]
-        with pytest.MonkeyPatch.context() as patch:
-            as_device(patch)
+        with kernels("graph"):
             made.inputs(colors, Preparation())  # makes what is made once
             with torch.inference_mode(), NoHost():
                 result, corrections = made.inputs(colors, Preparation())
@@ -93,7 +84,23 @@ def test_a_device_is_told_everything_at_once_and_finds_what_a_cpu_finds(images: 
             assert (compensation.light is None) == (other.light is None)
 
 
-def test_smoothing_is_opencvs(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("network", ["shipped", "paper"])
+def test_a_whole_frame_is_computed_without_the_host(network: str) -> None:
+    """From bytes to depth, by the networks themselves."""
+    torch.manual_seed(0)
+    paper = IcoSweepNet(4, 8, feature_channels=4).eval()
+    net = pretrained("refinedsweepnet-fast") if network == "shipped" else paper
+    predictor, images = Predictor(RIG, net, min_depth=0.55), room(loss=0.6)
+    expected = predictor(images)
+    options = {"preparation": Preparation(), "channels": "rgb"}
+    with kernels("graph"), torch.inference_mode():
+        predictor.pipeline.frame(*images.values(), **options)  # type: ignore[arg-type]
+        with NoHost():
+            frame = predictor.pipeline.frame(*images.values(), **options)  # type: ignore[arg-type]
+    torch.testing.assert_close(frame.estimate.index, expected.index, atol=0.02, rtol=0)
+
+
+def test_smoothing_is_opencvs() -> None:
     generator = torch.Generator().manual_seed(0)
     frames = torch.rand(2, 3, 40, 30, generator=generator) * 0.2 + 0.4
     deviation = torch.tensor([0.1, 0.25])
@@ -195,11 +202,11 @@ def test_a_predictor_on_a_device_answers_by_its_graph(monkeypatch: pytest.Monkey
     images = room(loss=0.6)
     expected = Predictor(RIG, Flat(3, 8), min_depth=0.5, channels="bgr")(images)
     predictor = Predictor(RIG, Flat(3, 8), min_depth=0.5, channels="bgr")
-    as_device(monkeypatch)
     monkeypatch.setattr(predictor.pipeline, "on_cuda", True)
     dark = {name: image // 2 for name, image in images.items()}
-    predictor(dark)
-    first, other, again = predictor(images), predictor(dark), predictor(images)
+    with kernels("graph"):
+        predictor(dark)
+        first, other, again = predictor(images), predictor(dark), predictor(images)
     assert len(predictor.pipeline._graphed._graphs) == 1
     torch.testing.assert_close(first.index, expected.index, atol=1e-5, rtol=0)
     assert torch.equal(first.index, again.index)

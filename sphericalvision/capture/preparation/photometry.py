@@ -24,7 +24,7 @@ from sphericalvision.cameras.masks import resized_mask
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.remapping.lookup import image_edges, pixels_a_radian
 from sphericalvision.cameras.rig import CameraRig, check_images_of
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, in_one_graph
 from sphericalvision.geometry.directions import angle_from_axis
 from sphericalvision.geometry.lookup import ImageLookup
 from sphericalvision.icosphere import icosphere_vertices
@@ -415,9 +415,9 @@ def solved(matrix: Float[Tensor, "*b n n"], right: Float[Tensor, "*b n"]) -> Flo
         >>> solved(torch.tensor([[2.0, 1.0], [1.0, 2.0]]), torch.tensor([3.0, 0.0]))
         tensor([ 2., -1.])
     """
-    if matrix.is_cpu:
-        return torch.linalg.solve(matrix, right)
-    return eliminated(matrix, right)
+    if in_one_graph(matrix.device):
+        return eliminated(matrix, right)
+    return torch.linalg.solve(matrix, right)
 
 
 def eliminated(matrix: Float[Tensor, "*b n n"], right: Float[Tensor, "*b n"]) -> Float[Tensor, "*b n"]:
@@ -432,7 +432,7 @@ def eliminated(matrix: Float[Tensor, "*b n n"], right: Float[Tensor, "*b n"]) ->
     for place in range(matrix.shape[-1]):
         row = system[..., place, :] / system[..., place, place, None]
         column = system[..., place] - unit[place]
-        system = system - column.unsqueeze(-1) * row.unsqueeze(-2)
+        system = torch.addcmul(system, column.unsqueeze(-1), row.unsqueeze(-2), value=-1)
     return system[..., -1]
 
 

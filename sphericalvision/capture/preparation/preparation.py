@@ -21,7 +21,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.preparation.photometry import LightEstimate, Photometer, PhotometricCalibration
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, in_one_graph
 
 __all__ = [
     "AS_IT_IS",
@@ -195,6 +195,12 @@ class Compensator:
     ) -> tuple[dict[str, Float[Tensor, "b c _ _"]], Float[Tensor, "b n"]]:
         """Return images without noise, and how much there was in those of each camera."""
         smooth, noise = {}, []
+        first = next(iter(images.values()))
+        alike = not self._usable and all(image.shape == first.shape for image in images.values())
+        if alike and in_one_graph(first.device):  # a quarter of the operations, if there are four cameras
+            together, amounts = _smoothed(torch.cat(list(images.values())), None)
+            parts = together.split(len(first))
+            return dict(zip(images, parts, strict=True)), amounts.view(len(images), -1).mT
         for name, image in images.items():
             smooth[name], amounts = _smoothed(image, self._usable.get(name))
             noise.append(amounts)
@@ -215,7 +221,7 @@ def needed(condition: Bool[Tensor, "*any"]) -> bool:
 
     A CPU leaves out what nothing asks for. A device would have to be waited for to know, and computes it.
     """
-    return not condition.is_cpu or bool(condition.any())
+    return in_one_graph(condition.device) or bool(condition.any())
 
 
 def compensated(
@@ -276,7 +282,7 @@ def _smoothed(image: Tensor, inside: Tensor | None) -> tuple[Tensor, Tensor]:
     chosen = (noise > 0).view(-1, 1, 1, 1)
     if inside is not None:
         chosen = chosen & inside
-    filtered = _filtered_by_opencv if image.is_cpu else bilateral
+    filtered = _filtered_by_opencv if image.is_cpu and not in_one_graph(image.device) else bilateral
     return filtered(image.detach(), CONTRAST * noise).where(chosen, image), noise
 
 
@@ -318,9 +324,10 @@ def bilateral(image: Float[Tensor, "b c h w"], deviation: Float[Tensor, " b"]) -
                 continue
             moved = padded[..., radius + down :, radius + across :][..., :height, :width]
             difference = (moved - image).abs_().sum(1, keepdim=True)
-            weight = difference.square_().mul_(steepness).sub_(0.5 * squared / REACH**2).exp_()
-            weights += weight
-            total.addcmul_(weight, moved)
+            weight = difference.square_().mul_(steepness).exp_()
+            near = math.exp(-0.5 * squared / REACH**2)
+            weights.add_(weight, alpha=near)
+            total.addcmul_(weight, moved, value=near)
     return total.div_(weights)
 
 

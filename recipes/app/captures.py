@@ -37,6 +37,8 @@ __all__ = ["AUTO", "Capture", "PosedCapture", "masked_by_itself", "with_own_body
 
 AUTO = "auto"
 """In place of a pattern of masks: those of the rig's own body, found in the frames."""
+FIELD = re.compile(r"\{(camera|frame)[^{}]*\}")
+"""Of a pattern; other braces are part of a name."""
 PANORAMA = "equirectangular"
 """In place of a calibration file: images are whole panoramas of any size."""
 
@@ -92,10 +94,13 @@ class Capture(Calibration):
         return source
 
     def rig(self, dtype: torch.dtype | None = None) -> CameraRig:
-        """The rig of the file, of a pattern with fields the folder above them; images say the size that it does not."""
+        """The rig of the file, of a pattern with fields the folder above them; images say the size that it does not.
+
+        What is there under its own name is no pattern.
+        """
         path = self.calibration
-        if "{" in path:
-            path = str(Path(path.partition("{")[0] + "_").parent)
+        if (field := FIELD.search(path)) and not Path(path).exists():
+            path = str(Path(path[: field.start()] + "_").parent)
         calibration = Calibration(path, self.translation_unit, self.max_angle_deg, self.image_size)
         try:
             return calibration.rig(dtype)

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import torch
 
-from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.cameras import CameraRig, ring_rig, save_rig
 from sphericalvision.capture.sources.frames import Selection, find_capture, find_labels, find_masks
 from sphericalvision.capture.sources.opening import open_source
 from sphericalvision.core import ArgumentError, MissingFileError
@@ -154,6 +154,21 @@ def test_masks_are_one_for_each_camera(tmp_path: Path) -> None:
     assert list(find_masks(root + "/cam{camera}/mask.png", NAMES)) == NAMES
     with pytest.raises(ArgumentError, match="masks"):
         find_masks(root + "/mask.png", NAMES)
+
+
+def test_braces_in_the_name_of_a_calibration_are_literal(tmp_path: Path) -> None:
+    """Fields alone make a pattern, whose folder is the calibration; a folder may be called like one."""
+    rigs = {
+        "{v2}": ring_rig(3, radius=0.2),
+        "{camera}": ring_rig(3, radius=0.3),
+        ".": ring_rig(3, radius=0.4),
+    }
+    for folder, rig in rigs.items():
+        (tmp_path / folder).mkdir(exist_ok=True)
+        save_rig(rig, tmp_path / folder / "rig.yaml")
+        assert Capture(calibration=str(tmp_path / folder / "rig.yaml"), images="x").rig().radius == rig.radius
+    with pytest.raises(MissingFileError, match=r"\{v3\}/rig.yaml"):
+        Capture(calibration=f"{tmp_path}/{{v3}}/rig.yaml", images="x").rig()
 
 
 def test_what_is_missing_is_named(tmp_path: Path) -> None:

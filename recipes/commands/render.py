@@ -108,10 +108,13 @@ RECORD = "rendered.yaml"
 
 
 def settings_of(config: RenderConfig, rig: CameraRig, release: str) -> dict[str, Any]:
-    """What all frames of a folder have in common."""
+    """What all frames of a folder have in common; meshes by name and content, up and scale included."""
+    meshes = _meshes(config)
     names = ("kind", "first_seed", "scale", "samples_per_pixel", "height", "min_depth")
     return {
         **{name: getattr(config, name) for name in names},
+        "carrier": config.carrier,
+        "mesh": None if meshes is None else [meshes.content(path) for path in meshes.paths],
         "release": release,
         "rig": rig_fingerprint(rig, digits=6),
     }
@@ -134,12 +137,13 @@ def check_settings(folder: Path, settings: dict[str, Any], release: str) -> None
         return
     try:
         stored = yaml.safe_load(path.read_text())
-        differ = {key: stored.get(key) for key in settings if stored.get(key) != settings[key]}
-    except (yaml.YAMLError, AttributeError, UnicodeDecodeError) as error:
+        keys = {**settings, **stored}
+        differ = {key: stored.get(key) for key in keys if stored.get(key) != settings.get(key)}
+    except (yaml.YAMLError, AttributeError, TypeError, UnicodeDecodeError) as error:
         raise FileFormatError(f"{path}: is damaged; choose another output=... folder ({error})") from None
     if differ:
         before = ", ".join(f"{key}={value}" for key, value in differ.items())
-        here = ", ".join(f"{key}={settings[key]}" for key in differ)
+        here = ", ".join(f"{key}={settings.get(key)}" for key in differ)
         raise ArgumentError(
             f"output: {folder} holds frames rendered with {before}, this command says {here}; use the same to add "
             "frames, or choose another folder"

@@ -43,8 +43,11 @@ class MeshFiles:
 
     def name(self, seed: int) -> str:
         """Name, content and seed, for caches."""
-        path = self.path(seed)
-        return f"{path.stem}-{_digest(path, self.up, self.scale)}-{seed:08d}"
+        return f"{self.content(self.path(seed))}-{seed:08d}"
+
+    def content(self, path: Path) -> str:
+        """Name and content of one of the files, with axis and scale."""
+        return f"{path.stem}-{_digest(path, self.up, self.scale)}"
 
     def make(self, seed: int, clear_radius: float, center: Tensor | None = None) -> MeshScene:
         """A free place in the mesh of a seed, brought to where the rig's centre is."""

@@ -10,14 +10,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import yaml
 from annotated_types import Ge
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 from pydantic.dataclasses import dataclass
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from sphericalvision.cameras import CameraRig, read_rig, save_rig
+from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.capture import Predictor, align_rig
 from sphericalvision.capture.estimating import Behind, Estimate, estimate_frames
+from sphericalvision.capture.folder_record import RECORD, checksum
 from sphericalvision.capture.outputs import Outputs, Settings
 from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.capture.sources.frames import Selection, Source
@@ -28,6 +32,7 @@ from sphericalvision.recipes.app.captures import AUTO, PosedCapture, masked_by_i
 from sphericalvision.recipes.app.checks import flat
 from sphericalvision.recipes.app.cli import choose_device, console, print_config, say
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, OnlyWith, Positive, Share, Text
+from sphericalvision.recipes.evaluation.methods import identity_of
 
 __all__ = ["PredictConfig", "open_frames", "predict", "predictor_for"]
 
@@ -61,6 +66,7 @@ MOST_PATHS = 30
 """Of files that are named at the end."""
 ENOUGH = 0.9
 """Share of the sphere that two cameras see, below which it is said."""
+ANEW = "give another output=, or leave skip_existing out to make all frames anew"
 ALIGNED = "aligned.yaml"
 """Beside the results: the calibration with cameras turned."""
 FREE = (
@@ -154,6 +160,7 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
     if config.capture.masks == AUTO:
         still.rig = masked_by_itself(still, folder)
     before = _settings_before(folder) if config.skip_existing else {}
+    basis = _basis(config, source.rig)
     predictor = predictor_for(source.rig, config)
     if predictor.min_depth is None:
         config = nearest(predictor, source, config, before)
@@ -165,6 +172,8 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
     elif predictor.preparation.judges(still.rig):
         aligned(predictor.with_changes(still.rig), still, folder, bool(before))
         predictor = predictor.with_changes(source.rig)
+    if not before:  # what it states is of other settings than those that come now
+        (folder / RECORD).unlink(missing_ok=True)
     print_config(config, folder)
     selection = config.capture.selection
     names = source.names(selection)
@@ -187,15 +196,16 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
         config.voxel,
         (source.rate or 10.0) / config.capture.every,
         config.near,
-        config.skip_existing,
+        bool(before),
+        {**basis, "network": identity_of(predictor.network) if config.method == "network" else None},
     )
     outputs = Outputs(folder, settings)
     if (folder / ALIGNED).is_file():
         outputs.written.append(folder / ALIGNED)
     left = None if names is None else set(names)
-    if left is not None and config.skip_existing:
-        left = {name for name in left if not outputs.has(name)}
-        say(f"{len(set(names or ())) - len(left)} frame(s) are in {folder} already")
+    if names is not None and before:
+        left = outputs.remaining(names)
+        say(f"{len(set(names)) - len(left)} frame(s) are in {folder} already, in each of its outputs")
     wrong = run(source, selection, predictor, outputs, left, config.on_error == "stop")
     _report(outputs)
     if wrong:
@@ -308,13 +318,33 @@ def _report(outputs: Outputs) -> None:
         )
 
 
+def _basis(config: PredictConfig, rig: CameraRig) -> dict[str, str | None]:
+    """What the files hold that settings name: the same path may lead to another calibration or trajectory later on."""
+    rig = rig.replaced(masks={}) if config.capture.masks == AUTO else rig  # which follow from the frames
+    poses = config.capture.poses
+    return {
+        "rig": rig_fingerprint(rig, digits=6),
+        "trajectory": None if poses is None else str(checksum(Path(poses))),
+    }
+
+
 def _settings_before(folder: Path) -> dict[str, Any]:
-    """Settings of the run that wrote a folder, by key; none where there was none."""
+    """Settings of the run that wrote a folder, by key; none where there was none.
+
+    Raises:
+        FileFormatError: the file that has them is damaged.
+    """
     path = folder / "config.yaml"
     if not path.is_file():
         return {}
-    stored = OmegaConf.load(path)
-    return {str(key): stored[key] for key in stored} if isinstance(stored, DictConfig) else {}
+    try:
+        stored = OmegaConf.load(path)
+        settings = {str(key): stored[key] for key in stored} if isinstance(stored, DictConfig) else {}
+    except (yaml.YAMLError, OmegaConfBaseException, UnicodeDecodeError, OSError) as error:
+        raise FileFormatError(f"{path}: is damaged ({error}); {ANEW}") from None
+    if not settings:
+        raise FileFormatError(f"{path}: expected the settings of the run that wrote it, got none; {ANEW}")
+    return settings
 
 
 def _check_settings(config: PredictConfig, before: Mapping[str, Any], folder: Path) -> None:

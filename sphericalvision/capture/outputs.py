@@ -7,7 +7,7 @@ import csv
 import errno
 import io
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from functools import cached_property
 from pathlib import Path
@@ -21,6 +21,7 @@ from torch import Tensor
 
 from sphericalvision.capture import Depth, DepthImage
 from sphericalvision.capture.checks import OF_A_FRAME, PhotoConsistency
+from sphericalvision.capture.folder_record import FolderRecord
 from sphericalvision.capture.fusing import FusedCloud
 from sphericalvision.capture.points import SurfacePoints
 from sphericalvision.capture.rerun_log import RerunLog
@@ -33,7 +34,7 @@ from sphericalvision.viz.figure import add_scale_bar
 from sphericalvision.viz.panorama import confidence_strength, depth_panorama, rgb_panorama
 from sphericalvision.viz.pointcloud import save_point_cloud
 
-__all__ = ["OUTPUTS", "Outputs", "Panoramas", "Settings", "done_file", "prefix_of", "save_frame"]
+__all__ = ["OUTPUTS", "Outputs", "Panoramas", "Settings", "prefix_of", "save_frame"]
 
 OUTPUTS = (
     "panorama",
@@ -64,7 +65,10 @@ FILES = {
     "viewer": "viewer.html",
     "npz": "depth.npz",
 }
-"""Output -> what the name of its file for a frame ends with; the last one chosen tells that a frame is done."""
+"""Output -> what the name of its file for a frame ends with; beside depth there is ``COLOR``."""
+COLOR = "color.png"
+RESTARTED = ("timeline", "rerun")
+"""Outputs of all frames that cannot be continued: where one frame is left, all are."""
 COLOURED = ("depth", "viewer", "video", "timeline")
 """Outputs that show depth in colours."""
 
@@ -81,6 +85,7 @@ class Settings(NamedTuple):
         rate: frames a second of the video.
         near: metres, the red end of depth pictures; found in the first frame when not given.
         go_on: whether video, table of consistency and fused cloud begin with the frames that are there.
+        basis: what results depend on beside settings, for ``FolderRecord``.
     """
 
     outputs: Sequence[str]
@@ -90,6 +95,7 @@ class Settings(NamedTuple):
     rate: float = 10.0
     near: float | None = None
     go_on: bool = False
+    basis: Mapping[str, str | None] = {}
 
 
 class Panoramas:
@@ -144,9 +150,9 @@ def save_frame(folder: Path, prefix: str, panoramas: Panoramas, settings: Settin
         write_image(folder / f"{prefix}panorama.png", panoramas.stitched)
         written.append(folder / f"{prefix}panorama.png")
     if "depth" in settings.outputs:
-        write_image(folder / f"{prefix}color.png", panoramas.colors[0])
+        write_image(folder / f"{prefix}{COLOR}", panoramas.colors[0])
         write_image(folder / f"{prefix}depth.png", panoramas.depth_picture)
-        written += [folder / f"{prefix}color.png", folder / f"{prefix}depth.png"]
+        written += [folder / f"{prefix}{COLOR}", folder / f"{prefix}depth.png"]
     if "confidence" in settings.outputs:
         sure = panoramas.panorama.confidence.where(panoramas.panorama.seen, math.nan)
         ticks = [(k / 4, f"{k / 4:g}") for k in range(5)]
@@ -206,13 +212,23 @@ def arrays_of(panoramas: Panoramas) -> dict[str, Any]:
 
 
 def read_shares(path: Path) -> dict[str, float]:
-    """Photo-consistency by frame, of a table whose last line may be torn; nothing if there is none."""
+    """Photo-consistency by frame, of a table whose last line may be torn; nothing if there is none.
+
+    Raises:
+        FileFormatError: it is no text.
+    """
     shares: dict[str, float] = {}
-    text = path.read_bytes().decode() if path.is_file() else ""
-    for row in csv.reader(io.StringIO(text[: text.rfind("\n") + 1], newline="")):
-        with suppress(ValueError):
-            frame, share = row
-            shares[frame] = float(share)
+    content = path.read_bytes() if path.is_file() else b""
+    try:
+        text = content[: content.rfind(b"\n") + 1].decode()
+        for row in csv.reader(io.StringIO(text, newline="")):
+            with suppress(ValueError):
+                frame, share = row
+                shares[frame] = float(share)
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise FileFormatError(
+            f"{path}: is damaged ({error}); delete it, and its frames are made again"
+        ) from None
     return shares
 
 
@@ -243,8 +259,8 @@ class Outputs:
         fused: the cloud of all frames, for the output of that name; None before there is one.
 
     Raises:
-        ArgumentError: an unknown output.
-        FileFormatError: what there is of the fused cloud cannot be read.
+        ArgumentError: an unknown output, or results in the folder are of another basis.
+        FileFormatError: the record, the table or the fused cloud that there is cannot be read.
     """
 
     def __init__(self, folder: Path, settings: Settings) -> None:
@@ -260,22 +276,46 @@ class Outputs:
         self._timeline: Timeline | None = None
         self._recording: RerunLog | None = None
         self._number = 0
+        self._names: list[str] = []
+        self._intact: dict[str, bool] = {}
         self.is_new = True
         self._judge = PhotoConsistency()
+        self._record = FolderRecord(folder, settings.basis, settings.go_on)
         self._table = folder / "consistency.csv"
-        self.consistency: dict[str, float] = read_shares(self._table) if settings.go_on else {}
+        rows = read_shares(self._table) if settings.go_on else {}
+        done = self._record.frames.get("consistency", {})
+        self.consistency: dict[str, float] = {frame: share for frame, share in rows.items() if frame in done}
         if "consistency" in settings.outputs:
             self._write_shares()
         self.fused: FusedCloud | None = None
-        if "fused" in settings.outputs and settings.go_on and (folder / FUSED).is_file():
+        if "fused" in settings.outputs and "fused" in self._record.frames and (folder / FUSED).is_file():
             self.fused = FusedCloud.load(folder / FUSED)
 
     def has(self, frame: str) -> bool:
-        """Whether what is there of a frame tells that it is done: its files, and its part of the fused cloud."""
-        if "fused" in self.settings.outputs and (self.fused is None or frame not in self.fused.frames):
+        """Whether every output has this frame: by the record, in files that are as they were written."""
+        outputs = self.settings.outputs
+        if "fused" in outputs and (self.fused is None or frame not in self.fused.frames):
             return False
-        file = done_file(self.folder, frame, self.settings.outputs)
-        return list(self.settings.outputs) == ["fused"] if file is None else file.is_file()
+        if "consistency" in outputs and frame not in self.consistency:
+            return False
+        if not all(frame in self._frames_of(output) for output in outputs):
+            return False
+        names = [FILES[output] for output in outputs if output in FILES]
+        names += [COLOR] if "depth" in outputs else []
+        return all(self._record.is_intact(f"{prefix_of(frame)}{name}") for name in names)
+
+    def remaining(self, frames: Sequence[str]) -> set[str]:
+        """Those of the frames that an output lacks."""
+        frames_left = {frame for frame in frames if not self.has(frame)}
+        restarted = any(output in RESTARTED for output in self.settings.outputs)
+        return set(frames) if frames_left and restarted else frames_left
+
+    def _frames_of(self, output: str) -> Mapping[str, None]:
+        """Frames that an output has by the record; none where its one file is not as it was written."""
+        if output not in self._intact:
+            file = self._record.files.get(output)
+            self._intact[output] = file is None or self._record.is_intact(file)
+        return self._record.frames.get(output, {}) if self._intact[output] else {}
 
     @property
     def follows_first_frame(self) -> bool:
@@ -301,10 +341,11 @@ class Outputs:
             for output, (name, picture_of) in _VIDEOS.items():
                 if output in self.settings.outputs:
                     if output not in self._videos:
-                        video = _Video(self.folder, self.settings.rate, self.settings.go_on, name)
+                        file, frames = self._record.files.get(output), self._frames_of(output)
+                        video = _Video(self.folder, self.settings.rate, name, file, frames)
                         self._videos[output] = video
                         self.written.append(video.path)
-                    self._videos[output].write(picture_of(panoramas))
+                    self._videos[output].write(frame, picture_of(panoramas))
             if "timeline" in self.settings.outputs:
                 if self._timeline is None:
                     title = f"depth all around: {self.folder.name}"
@@ -326,7 +367,11 @@ class Outputs:
                 self.fused.add(frame, points, panoramas.panorama, depth.rig.center, depth.rig.origin)
                 self.fused.save(self.folder / FUSED, now=False)
             self._number += 1
-            self.written += save_frame(self.folder, prefix_of(frame), panoramas, self.settings)
+            self._names.append(frame)
+            paths = save_frame(self.folder, prefix_of(frame), panoramas, self.settings)
+            self.written += paths
+            if outputs := [o for o in self.settings.outputs if o not in _VIDEOS and o not in RESTARTED]:
+                self._record.add(outputs, [frame], paths)
 
     def _warn(self, depth: Depth) -> None:
         """Say what is probably wrong, told from the first frame."""
@@ -336,13 +381,16 @@ class Outputs:
 
     def close(self) -> None:
         """Finish what is made of all frames."""
-        for video in self._videos.values():
+        for output, video in self._videos.items():
             video.close()
+            self._record.replace(output, list(video.frames), video.path)
         if self._timeline is not None:
             self.written.append(self._timeline.save(self.folder / "timeline.html"))
+            self._record.replace("timeline", self._names, self.written[-1])
         if self._recording is not None:
             self._recording.close()
             self.written.append(self._recording.path)
+            self._record.replace("rerun", self._names, self._recording.path)
         if "consistency" in self.settings.outputs:
             self._write_shares()
             self.written.append(self._table)
@@ -359,26 +407,31 @@ class Outputs:
 class _Video:
     """A video, which is there once it is whole and its frames have been read back.
 
-    It is called ``depth.mp4``, or by the first of ``depth_2.mp4``, ... that is free. With ``go_on`` it begins with the
-    frames of the ``depth.mp4`` that is there, whose place it takes.
+    It takes the place of ``file``, beginning with ``frames`` of it; without one it is called ``depth.mp4``, or by the
+    first of ``depth_2.mp4``, ... that is free.
     """
 
-    def __init__(self, folder: Path, rate: float, go_on: bool = False, name: str = "depth") -> None:
+    def __init__(
+        self, folder: Path, rate: float, name: str, file: str | None = None, frames: Iterable[str] = ()
+    ) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         names = (f"{name}.mp4" if number == 1 else f"{name}_{number}.mp4" for number in range(1, 10**6))
-        self.path = next(folder / name for name in names if go_on or not (folder / name).exists())
-        self.rate = rate
+        self.path = folder / (file or next(name for name in names if not (folder / name).exists()))
+        self.rate, self.frames = rate, dict.fromkeys(frames)
         self._whole = ExitStack()
         self._writer: cv2.VideoWriter | None = None
         self._number = 0
 
-    def write(self, picture: npt.NDArray[Any]) -> None:
-        """Add a frame (h, w, 3), uint8."""
+    def write(self, frame: str, picture: npt.NDArray[Any]) -> None:
+        """Add a frame (h, w, 3), uint8, unless it is there already."""
+        if frame in self.frames:
+            return
         picture = np.pad(picture, [(0, size % 2) for size in picture.shape[:2]] + [(0, 0)], mode="edge")
         picture = cv2.cvtColor(np.ascontiguousarray(picture), cv2.COLOR_RGB2BGR)
         if self._writer is None:
             self._writer = self._opened(picture)
         self._add(self._writer, picture)
+        self.frames[frame] = None
 
     def close(self) -> None:
         """Finish the file and give it its name.
@@ -397,7 +450,7 @@ class _Video:
                 )
 
     def _opened(self, picture: npt.NDArray[Any]) -> cv2.VideoWriter:
-        """A writer for such pictures, with the frames of the video that is there, if they are as large."""
+        """A writer for such pictures, with the frames of the video that it continues."""
         self._temporary = self._whole.enter_context(atomic_write(self.path))
         writer = cv2.VideoWriter(
             str(self._temporary), cv2.VideoWriter.fourcc(*"mp4v"), self.rate, picture.shape[1::-1]
@@ -407,9 +460,13 @@ class _Video:
             raise FileFormatError(
                 f"{self.path}: this OpenCV writes no MPEG-4 videos; leave video out of outputs"
             )
-        for frame in _frames_of(self.path) if self.path.is_file() else ():
-            if frame.shape == picture.shape:
-                self._add(writer, frame)
+        for frame in _frames_of(self.path) if self.frames else ():
+            self._add(writer, frame)
+        if self._number != len(self.frames):
+            raise FileFormatError(
+                f"{self.path}: {self._number} of {len(self.frames)} frames can be read; delete it, and all frames are "
+                "made again"
+            )
         return writer
 
     def _add(self, writer: cv2.VideoWriter, picture: npt.NDArray[Any]) -> None:
@@ -444,9 +501,3 @@ def _frames_of(path: Path) -> Iterator[npt.NDArray[Any]]:
 def prefix_of(frame: str) -> str:
     """What the names of a frame's files begin with."""
     return f"{frame}_" if frame else ""
-
-
-def done_file(folder: Path, frame: str, outputs: Sequence[str]) -> Path | None:
-    """The file that is there once a frame is done; None where frames leave no files, or may leave none."""
-    sure = [FILES[output] for output in FILES if output in outputs and output not in ("cloud", "glb")]
-    return folder / f"{prefix_of(frame)}{sure[-1]}" if sure else None

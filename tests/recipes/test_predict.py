@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from sphericalvision.recipes.app.rigs import make_ring
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.scenes.disturbances import CameraDisturbance
 from sphericalvision.sphere import Equirectangular
+from tests.recipes.conftest import run_recipe
 from tests.recipes.tiny import Run, write_capture
 
 SIZE = (40, 48)
@@ -312,6 +314,69 @@ def test_prediction_goes_on_where_it_stopped(
     message = failing("predict", *words(capture, weights, "out"), "skip_existing=true", "height=24")
     assert "holds results of other settings (height was" in message
     assert "is 24)" in message
+    save_weights(IcoSweepNet(3, 4, feature_channels=2), weights)
+    message = failing("predict", *words(capture, weights, "out"), "skip_existing=true")
+    assert "holds results of another network: what these files hold has changed" in message
+
+
+LEFT: dict[str, tuple[str, bytes]] = {
+    "empty settings": ("config.yaml", b""),
+    "settings that are no YAML": ("config.yaml", b"a: [\n"),
+    "settings that are no text": ("config.yaml", b"\xff\xfe\x00"),
+    "settings that are a list": ("config.yaml", b"- 1\n"),
+    "settings that name others": ("config.yaml", b"height: ${nobody}\n"),
+    "a record that is no text": ("frames.jsonl", b"\xff\n"),
+    "a table that is no text": ("consistency.csv", b"frame,photo_consistency\n\xff,0.5\n"),
+    "an empty cloud": ("fused.npz", b""),
+    "a cloud that is none": ("fused.npz", b"PK\x03\x04 and no more"),
+    "a calibration that is none": ("aligned.yaml", b"cameras: 3\n"),
+}
+"""What is wrong -> a file of an earlier run, and what a broken disk left of it."""
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a capture and, in ``out``, its frames in several outputs."""
+    folder = tmp_path_factory.mktemp("swept")
+    rig = ring_rig(3, image_size=(32, 32))
+    frames = (render_rig(make_scene("bare", seed=seed), rig) for seed in (0, 2))
+    write_capture(folder, rig, *frames)
+    run_recipe(folder, "predict", *SWEEP)
+    return folder
+
+
+SWEEP = ["calibration=rig.yaml", "images={camera}/{frame}.png", "method=semi_global", "level=4", "output=out"]
+SWEEP += ["min_depth=0.5", "height=16", "outputs=[npz,consistency,fused]", "align=false"]
+
+
+@pytest.mark.parametrize("damage", LEFT)
+def test_what_a_broken_disk_left_is_told(
+    swept: Path, tmp_path: Path, failing: Callable[..., str], damage: str
+) -> None:
+    name, content = LEFT[damage]
+    shutil.copytree(swept, tmp_path, dirs_exist_ok=True)
+    (tmp_path / "out" / name).write_bytes(content)
+    message = failing("predict", *SWEEP, "skip_existing=true")
+    assert f"out/{name}" in message
+    assert "Traceback" not in message
+
+
+def test_a_folder_goes_on_with_the_same_files_alone(
+    swept: Path, tmp_path: Path, run: Run, failing: Callable[..., str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Files under the names that settings have may hold something else by now; other runs may have come between."""
+    shutil.copytree(swept, tmp_path, dirs_exist_ok=True)
+    run("predict", *SWEEP, "skip_existing=true")
+    assert "2 frame(s) are in" in capsys.readouterr().out
+    first = (tmp_path / "rig.yaml").read_bytes()
+    save_rig(ring_rig(3, radius=0.21, image_size=(32, 32)), tmp_path / "rig.yaml")
+    assert "results of another rig" in failing("predict", *SWEEP, "skip_existing=true")
+    (tmp_path / "rig.yaml").write_bytes(first)
+    run("predict", *SWEEP, "level=3", "stop=1")
+    run("predict", *SWEEP, "level=3", "skip_existing=true")
+    for frame in "01":
+        with np.load(tmp_path / f"out/{frame}_depth.npz") as arrays:
+            assert len(arrays["index"]) == 10 * 4**2 + 2
 
 
 def test_a_torn_table_of_consistency_loses_its_last_line_alone(tmp_path: Path) -> None:

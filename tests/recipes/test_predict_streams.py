@@ -256,7 +256,10 @@ def test_a_video_gets_its_name_when_its_frames_can_be_read_back(tmp_path: Path) 
                 outputs.close()
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert [path.relative_to(tmp_path) for path in tmp_path.rglob("*.*")] == [Path("4/depth.mp4")]
+    assert [str(path.relative_to(tmp_path)) for path in sorted(tmp_path.rglob("*.*"))] == [
+        "4/depth.mp4",
+        "4/frames.jsonl",
+    ]
     picture = cv2.VideoCapture(str(tmp_path / "4/depth.mp4")).read()[1]
     middle = picture.shape[1] // 2
     assert 50 < picture[:64, middle - 60 : middle + 60].mean() < 200  # above, the colours of the images
@@ -314,21 +317,26 @@ def test_a_video_becomes_a_video(
     assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 3
     assert video.get(cv2.CAP_PROP_FPS) == pytest.approx(5 / 3, abs=0.01)
     assert video.read()[1].shape[0] > 64  # colours above depth and its scale
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["config.yaml", "depth.mp4"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "config.yaml",
+        "depth.mp4",
+        "frames.jsonl",
+    ]
     printed = capsys.readouterr().out
     assert re.search(
         r"3 frame\(s\) in [\d.]+ s: [\d.]+ frames/s, the network busy \d+ % of the time", printed
     )
     run("predict", *words, f"images={capture}/row.avi", "output=out", "stop=2", "outputs=[npz]")
+    more = ("outputs=[npz,video]", "skip_existing=true")
+    run("predict", *words, f"images={capture}/row.avi", "output=out", "stop=2", *more)
+    video = cv2.VideoCapture(str(tmp_path / "out/depth_2.mp4"))  # what is there is not written over
+    assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 2  # which no record said to be in a video
     first = (tmp_path / "out/000000_depth.npz").stat().st_mtime_ns
-    more = ("stop=3", "outputs=[npz,video]", "skip_existing=true")
-    run("predict", *words, f"images={capture}/row.avi", "output=out", *more)
+    run("predict", *words, f"images={capture}/row.avi", "output=out", "stop=3", *more)
     assert (tmp_path / "out/000000_depth.npz").stat().st_mtime_ns == first
     assert (tmp_path / "out/000002_depth.npz").is_file()
-    video = cv2.VideoCapture(str(tmp_path / "out/depth.mp4"))
-    assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 4  # it goes on where it ended
-    run("predict", *words, f"images={capture}/row.avi", "output=out", "stop=1")
-    assert (tmp_path / "out/depth_2.mp4").is_file()  # what is there is not written over
+    video = cv2.VideoCapture(str(tmp_path / "out/depth_2.mp4"))
+    assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 3  # it goes on where it ended
     assert not list((tmp_path / "out").glob(".*"))
 
 

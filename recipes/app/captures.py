@@ -29,6 +29,7 @@ from sphericalvision.capture.sources.opening import (
 )
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.images import read_image_size, read_mask, write_mask
+from sphericalvision.io.times import SAME_TIME
 from sphericalvision.recipes.app.kinds import STRICT, Count, Names, Number, OnlyWith, Positive, Text
 from sphericalvision.recipes.app.rigs import Calibration, keys_named
 from sphericalvision.sphere.intake import as_photographs
@@ -55,6 +56,7 @@ class Capture(Calibration):
         every: 2 takes every second frame.
         cameras: names of the cameras to use, in order.
         masks: pattern of masks, white where usable; ``AUTO``: of the rig's own body, found in the frames.
+        tolerance: seconds between images of one frame, at most, where image files are called by their times.
     """
 
     images: Text
@@ -64,6 +66,7 @@ class Capture(Calibration):
     every: Count = 1
     cameras: Names | None = None
     masks: Text | None = None
+    tolerance: Annotated[float, Ge(0)] = SAME_TIME
 
     @property
     def selection(self) -> Selection:
@@ -76,7 +79,7 @@ class Capture(Calibration):
         files: list[Path] = []
         if self.masks not in (None, AUTO):
             rig, files = rig_with_masks(rig, self.masks, self.cameras)
-        source = open_source(self.images, rig, self.frames, files, self.cameras)
+        source = open_source(self.images, rig, self.frames, files, self.cameras, self.tolerance)
         rig = source.rig
         if source.labels:
             print("Images: " + ", ".join(f"{name} is {label}" for name, label in source.labels.items()) + ".")

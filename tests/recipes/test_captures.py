@@ -120,6 +120,40 @@ def test_frames_are_in_the_order_of_their_numbers_and_complete(tmp_path: Path) -
         assert list(find_capture(root + "/{camera}/{frame}.jpg", NAMES)) == ["9", "10", "100"]
 
 
+def test_pictures_named_by_time_belong_together_within_a_tolerance(tmp_path: Path) -> None:
+    start = 1_700_000_000_000_000_000  # nanoseconds, 30 frames a second
+    times = [start + number * 33_333_333 for number in range(4)]
+    names = {
+        "cam1": times,
+        "cam2": [time + 2_000_000 for time in times],
+        "cam3": [t - 1_000_000 for t in times[1:]],
+    }
+    root = touch(tmp_path, *(f"{name}/{time}.png" for name, mine in names.items() for time in mine))
+    with pytest.warns(UserWarning, match="images: ") as told:
+        capture = find_capture(root + "/{camera}/{frame}.png", NAMES)
+    assert "differ, by 2 ms at most" in str(told[0].message)
+    assert "1 frame(s) that not every camera has" in str(told[1].message)
+    assert list(capture) == [str(time) for time in times[1:]]
+    assert [int(path.stem) - times[2] for path in capture[str(times[2])].values()] == [
+        0,
+        2_000_000,
+        -1_000_000,
+    ]
+    with pytest.raises(MissingFileError, match=r"cam1 and cam2 are 2 ms apart or more; tolerance=0\.0022 "):
+        find_capture(root + "/{camera}/{frame}.png", NAMES, tolerance=0.001)
+    with pytest.warns(UserWarning, match="differ, by 2 ms"):
+        (frame,) = find_capture(root + "/{camera}/{frame}.png", NAMES, [str(times[3])])
+    assert frame == str(times[3])
+
+
+def test_no_image_is_in_two_frames_however_wide_the_tolerance(tmp_path: Path) -> None:
+    first, second = ("1700000000.00", "1700000000.10"), ("1700000000.09",)
+    root = touch(tmp_path, *(f"1/{f}.png" for f in first), *(f"2/{f}.png" for f in second))
+    with pytest.warns(UserWarning, match="1 frame|differ, by 10 ms"):
+        capture = find_capture(root + "/{camera}/{frame}.png", NAMES[:2], tolerance=1.0)
+    assert list(capture) == [first[1]]
+
+
 def test_digits_only_where_the_pattern_says_so(tmp_path: Path) -> None:
     root = touch(tmp_path, *(f"{c}/{f}.jpg" for c in "123" for f in ("7", "mask")))
     assert list(find_capture(root + "/{camera}/{frame:d}.jpg", NAMES)) == ["7"]

@@ -6,6 +6,7 @@ Files are found by a pattern such as ``cam{camera}/{frame:05d}.png``.
 
 from __future__ import annotations
 
+import math
 import re
 import string
 import warnings
@@ -20,6 +21,7 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.sources.views import size_of_view, split_views
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
 from sphericalvision.io.images import read_image, read_image_size
+from sphericalvision.io.times import SAME_TIME, are_counts, nearest_in_time, seconds
 
 __all__ = [
     "Files",
@@ -190,6 +192,7 @@ def find_capture(
     leave_out: Iterable[Path] = (),
     key: str = "images",
     labels: Mapping[str, str] | None = None,
+    tolerance: float = SAME_TIME,
 ) -> dict[str, dict[str, Path]]:
     """Find the frames that every camera has, or the frames asked for: frame -> camera name -> file, frames in order.
 
@@ -204,6 +207,8 @@ def find_capture(
         leave_out: files that are no images, such as masks that lie beside them.
         key: that the pattern was given by, for messages.
         labels: what ``{camera}`` stands for, as ``find_labels`` has it of the whole rig; by default of ``names``.
+        tolerance: seconds between images of one frame, at most, where frames are called by their times and cameras
+            differ; such frames are called as the first camera's, and a warning says how far apart images are.
 
     A frame that some cameras lack is left out with a warning.
 
@@ -216,18 +221,28 @@ def find_capture(
     if labels is None:
         labels = find_labels(pattern, names, leave_out=leave_out, key=key)
     found = {name: _files(pattern, labels[name], others) for name in names}
-    common = set.intersection(*(set(files) for files in found.values()))
+    counts = ", ".join(f"{name}: {len(files)}" for name, files in found.items())
+    times = _times(found)
+    found, apart = _called_as_first(found, times, tolerance)
+    common = set.intersection(*map(set, found.values()))
+    lacking = set().union(*found.values()) - common
+    if common and apart:
+        warnings.warn(
+            f"{key}: images of one frame have names that differ, by {1000 * apart:.3g} ms at most; they count as taken "
+            f"when {names[0]}'s is, as tolerance={tolerance:g} (seconds) has it",
+            stacklevel=2,
+        )
     if requested is None:
         chosen = sorted(common, key=_natural)
-        counts = ", ".join(f"{name}: {len(files)}" for name, files in found.items())
         if not chosen:
             raise MissingFileError(
                 f"{key}: no frame of {pattern!r} is there for every camera ({counts} files)"
+                + _distance(found, times, tolerance)
             )
-        if lacking := sorted(set().union(*found.values()) - common, key=_natural):
+        if lacking:
             warnings.warn(
-                f"{key}: {len(lacking)} frame(s) that not every camera has are left out, {', '.join(lacking[:4])} "
-                f"first ({counts} files)",
+                f"{key}: {len(lacking)} frame(s) that not every camera has are left out, "
+                f"{', '.join(sorted(lacking, key=_natural)[:4])} first ({counts} files)",
                 stacklevel=2,
             )
     else:
@@ -240,6 +255,60 @@ def find_capture(
                     f"first frames are {', '.join(sorted(files, key=_natural)[:4])}. Correct frames=... or the pattern."
                 )
     return {frame: {name: found[name][frame] for name in names} for frame in chosen}
+
+
+def _times(files: Mapping[str, Mapping[str, Path]]) -> dict[str, float]:
+    """Frame -> seconds of all cameras' frames, where cameras have other frames and all are called by their times."""
+    frames = list(set().union(*files.values()))
+    if all(len(mine) == len(frames) for mine in files.values()) or are_counts(frames):
+        return {}
+    return {frame: time for frame, time in zip(frames, seconds(frames), strict=True) if time is not None}
+
+
+def _called_as_first(
+    files: Mapping[str, Mapping[str, Path]], times: Mapping[str, float], tolerance: float
+) -> tuple[dict[str, dict[str, Path]], float]:
+    """Files by the first camera's frames where they are at most ``tolerance`` away, and seconds of the farthest.
+
+    Either is the nearest of the other, so that no image is in two frames.
+    """
+    frames = [frame for frame in next(iter(files.values())) if frame in times]
+    result, apart = {}, 0.0
+    for name, mine in files.items():
+        others = [frame for frame in mine if frame in times]
+        of_frames, of_others = [times[frame] for frame in frames], [times[other] for other in others]
+        forth = nearest_in_time(of_others, of_frames, tolerance)
+        back = nearest_in_time(of_frames, of_others, tolerance)
+        pairs = {
+            other: frames[place]
+            for number, (other, place) in enumerate(zip(others, forth, strict=True))
+            if place is not None and back[place] == number
+        }
+        apart = max([apart, *(abs(times[other] - times[frame]) for other, frame in pairs.items())])
+        result[name] = {pairs.get(frame, frame): file for frame, file in mine.items()}
+    return result, apart
+
+
+def _distance(files: Mapping[str, Mapping[str, Path]], times: Mapping[str, float], tolerance: float) -> str:
+    """How far apart in time the nearest images of the first camera and of another one are, in a sentence."""
+    first, *others = files
+    frames = [frame for frame in files[first] if frame in times]
+    nearest = {}
+    for name in others:
+        mine = [frame for frame in files[name] if frame in times]
+        places = nearest_in_time(
+            [times[frame] for frame in frames], [times[frame] for frame in mine], math.inf
+        )
+        pairs = [(f, mine[place]) for f, place in zip(frames, places, strict=True) if place is not None]
+        nearest[name] = min((abs(times[frame] - times[other]) for frame, other in pairs), default=0.0)
+    name = max(nearest, key=lambda other: nearest[other], default=first)
+    farthest = nearest.get(name, 0.0)
+    if farthest <= tolerance:
+        return ""
+    return (
+        f". Names are times, and those of {first} and {name} are {1000 * farthest:.3g} ms apart or more; "
+        f"tolerance={1.1 * farthest:.2g} (seconds) takes them as one frame, if they are"
+    )
 
 
 def find_labels(

@@ -12,6 +12,7 @@ from sphericalvision.capture.sources.frames import Files, Source, find_capture, 
 from sphericalvision.capture.sources.videos import OTHER_VIDEOS, VIDEO_SUFFIXES, Videos
 from sphericalvision.core import ArgumentError, MissingFileError
 from sphericalvision.io.images import read_mask
+from sphericalvision.io.times import SAME_TIME
 
 __all__ = ["open_source", "rig_for_images", "rig_with_masks", "spread_evenly"]
 
@@ -35,6 +36,7 @@ def open_source(
     frames: Iterable[int | str] | None = None,
     leave_out: Iterable[Path] = (),
     cameras: Sequence[str] | None = None,
+    tolerance: float = SAME_TIME,
 ) -> Source:
     """Find the frames that ``images`` stands for.
 
@@ -46,6 +48,7 @@ def open_source(
         frames: names or numbers of the frames to take, of image files.
         leave_out: files that are no images, such as masks beside them.
         cameras: names of those that are used, in order; all when not given.
+        tolerance: seconds between images of one frame, as ``find_capture`` has it.
 
     Raises:
         ArgumentError: ``images`` is none of these, or frames are named of a video.
@@ -75,12 +78,15 @@ def open_source(
         (files,) = find_capture(images, used.names, labels=labels).values()
         return _announced(Videos(files, used, rig), labels)
     if path.is_dir():
-        return _of_folder(path, rig, frames, leave_out, used)
+        return _of_folder(path, rig, frames, leave_out, used, tolerance)
     if len(rig) > 1 and "{camera" not in images:
         return _stills(images, rig, frames, leave_out, used)
     labels = find_labels(images, rig.names, used.names, leave_out)
     return _announced(
-        Files(find_capture(images, used.names, frames, leave_out, labels=labels), used, rig), labels
+        Files(
+            find_capture(images, used.names, frames, leave_out, labels=labels, tolerance=tolerance), used, rig
+        ),
+        labels,
     )
 
 
@@ -120,6 +126,7 @@ def _of_folder(
     frames: Iterable[int | str] | None,
     leave_out: Iterable[Path],
     used: CameraRig,
+    tolerance: float,
 ) -> Source:
     """The first layout for which there are files of every camera."""
     files = (file for file in (*folder.glob("*"), *folder.glob("*/*")) if not file.name.startswith("."))
@@ -139,7 +146,9 @@ def _of_folder(
         elif suffix.lower() in IMAGE_SUFFIXES:
             for stem in (*ALONE[: len(rig) == 1], *STEMS, *ALONE[: len(rig) > 1]):
                 try:
-                    return open_source(f"{folder}/{stem}{suffix}", rig, frames, excluded, used.names)
+                    return open_source(
+                        f"{folder}/{stem}{suffix}", rig, frames, excluded, used.names, tolerance
+                    )
                 except (MissingFileError, ArgumentError):
                     continue
     raise MissingFileError(

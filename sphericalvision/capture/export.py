@@ -270,6 +270,9 @@ def export_program(
         tables = rig_tables(program)
         inputs, shapes = (*inputs, tables), (*shapes, dict.fromkeys(tables))
     with quiet(), kernels("graph"):
+        program(
+            *inputs
+        )  # makes the tables of icospheres: who records would take the making for a part of the program
         traced: Any = torch.export.export(program, inputs, dynamic_shapes=shapes, strict=False).module()
         folded = with_constants_folded(traced, *inputs)
         exported = torch.export.export(folded, inputs, dynamic_shapes=shapes, strict=False)

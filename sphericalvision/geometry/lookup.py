@@ -134,7 +134,8 @@ def weighted_rows(
     """Weighted sums ``(P, C)`` of k rows ``(size, C)`` each: the one place where tables are read with weights.
 
     Rows are read at once, which is why those who read much keep the channels of an entry side by side. The kernel for
-    it has first derivatives; under ``reference_kernels`` the sum is written out and has derivatives of any order.
+    it has first derivatives; under ``reference_kernels`` the sum is written out and has derivatives of any order. So it
+    is for compilers, which make one loop of it.
 
     Args:
         rows: floating point.
@@ -146,7 +147,7 @@ def weighted_rows(
         tensor([[3., 4.]])
     """
     weights = weights.to(rows.dtype)
-    if uses_reference_kernels():
+    if uses_reference_kernels() or torch.compiler.is_compiling():
         return _term_by_term(rows, ids, weights)
     return F.embedding_bag(ids, rows, per_sample_weights=weights, mode="sum")
 

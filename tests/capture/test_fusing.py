@@ -97,3 +97,38 @@ def test_more_cubes_than_memory_has_room_for_become_larger_ones(monkeypatch: pyt
     assert (small.side, len(small) < 0.5 * len(whole)) == (0.4, True)
     assert (small.points().points.abs().amax(-1) - HALF).abs().max() < 0.2
     assert set(small._sums[:, fusing.CONFIRMED].tolist()) <= {1.0, 2.0, 3.0, 4.0}
+
+
+def test_cubes_that_grew_hold_the_means_that_large_ones_have() -> None:
+    """Nothing is lost where eight become one, whichever half of it a point is in."""
+    generator = torch.Generator().manual_seed(5)
+    points = 3 * torch.randn(4000, 3, generator=generator)
+    sure = torch.rand(4000, generator=generator)
+    ones = torch.ones(GRID.shape)
+    clouds = []
+    for side in (0.25, 0.5):
+        fuse = FusedCloud(side)
+        fuse.add(
+            "0", cloud(points)._replace(confidence=sure), DepthImage(ones, ones, ones > 0), torch.zeros(3)
+        )
+        clouds.append(fuse)
+    clouds[0]._coarsen()
+    assert clouds[0].side == 0.5
+    for grown, large in zip(clouds[0].points(), clouds[1].points(), strict=True):
+        torch.testing.assert_close(grown, large, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("column", [0, -1, 40])
+def test_what_stands_beside_is_beside_across_the_seam(column: int) -> None:
+    """A frame does not look through a point next to something near, wherever the panorama is cut."""
+    far, ones = torch.full(GRID.shape, 10.0), torch.ones(GRID.shape)
+    row = GRID.shape[0] // 2
+    point = 2.0 * GRID.directions[row, column][None]
+    near = far.clone()
+    near[row, column - 1] = 1.0
+    for depth, through in ((far, 1.0), (near, 0.0)):
+        fuse = FusedCloud(0.05)
+        fuse.add("0", cloud(point), DepthImage(ones, ones, ones > 0), torch.zeros(3))
+        fuse.add("1", cloud(-point), DepthImage(depth, ones, ones > 0), torch.zeros(3))
+        place = fuse._positions() @ point[0].double() > 0
+        assert fuse._sums[place, 11].tolist() == [through]

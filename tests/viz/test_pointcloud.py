@@ -11,8 +11,10 @@ import pytest
 import torch
 import trimesh
 
+from sphericalvision.cameras import CameraRig, FisheyeCamera
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.viz import save_point_cloud
+from sphericalvision.viz.pointcloud import point_colors
 
 
 def test_a_saved_cloud_is_read_back(tmp_path: Path, generator: torch.Generator) -> None:
@@ -28,3 +30,19 @@ def test_bad_clouds_are_refused(tmp_path: Path) -> None:
         save_point_cloud(tmp_path / "a.ply", torch.zeros(4, 3), torch.zeros(5, 3))
     with pytest.raises(ArgumentError, match="1 of them not finite"):
         save_point_cloud(tmp_path / "a.ply", torch.tensor([[math.nan, 0.0, 0.0]]), torch.zeros(1, 3))
+
+
+def test_cameras_count_by_the_eighth_power_of_how_far_forward_they_look() -> None:
+    """A point 30° off one camera's axis and 60° off another's, which stand in one place."""
+    turn = torch.tensor([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    poses = torch.eye(4).repeat(2, 1, 1)
+    poses[1, :3, :3] = turn
+    lens = FisheyeCamera.from_field_of_view((33, 33), 3.6)
+    rig = CameraRig([lens, lens], poses)
+    angle = torch.tensor(torch.pi / 6)
+    point = 3 * torch.stack((angle.sin(), 0 * angle, angle.cos()))[None]
+    images = {"cam1": torch.ones(1, 33, 33), "cam2": torch.zeros(1, 33, 33)}
+    first, second = ((1 + cosine) ** 8 for cosine in (angle.cos(), angle.sin()))
+    colors, seen = point_colors(rig, images, point)
+    assert seen.all()
+    torch.testing.assert_close(colors[0, 0], first / (first + second))

@@ -204,20 +204,20 @@ def rig_tables(program: RigProgram, like: RigProgram | None = None) -> dict[str,
         if name != "rays" and not name.startswith("net.")
     }
     if like is not None:
-        given, expected = (_layout(one) for one in (program, like))
-        if given != expected:
-            name = next(name for name in {**expected, **given} if given.get(name) != expected.get(name))
+        layout, expected = (_layout(one) for one in (program, like))
+        if layout != expected:
+            name = next(name for name in {**expected, **layout} if layout.get(name) != expected.get(name))
             raise ArgumentError(
-                f"program: its table {name} is {given.get(name)}, expected {expected.get(name)}; programs share tables "
-                "of as many cameras, images of one size, about the same angle a pixel, and one level"
+                f"program: its table {name} is {layout.get(name)}, expected {expected.get(name)}; programs share "
+                "tables of as many cameras, images of one size, about the same angle a pixel, and one level"
             )
     return tables
 
 
 def _layout(program: RigProgram) -> dict[str, str]:
     layout = {name: f"{table.dtype} {tuple(table.shape)}" for name, table in rig_tables(program).items()}
-    looks = program.intake.lookups if program.inputs == "camera" else []
-    return layout | {f"shrinking of camera {k}": str(look.shrink) for k, look in enumerate(looks)}
+    lookups = program.intake.lookups if program.inputs == "camera" else []
+    return layout | {f"shrinking of camera {k}": str(look.shrink) for k, look in enumerate(lookups)}
 
 
 def example_images(program: RigProgram, batch: int = 1) -> Float[Tensor, "B n 3 *size"]:
@@ -317,8 +317,8 @@ def compile_program(exported: torch.export.ExportedProgram, path: str | Path) ->
 
 
 def _write_description(exported: torch.export.ExportedProgram, path: Path) -> None:
-    told = exported.graph_module.meta.get(DESCRIPTION, {})
-    write_bytes(path.with_suffix(".json"), json.dumps(told, indent=2).encode())
+    content = exported.graph_module.meta.get(DESCRIPTION, {})
+    write_bytes(path.with_suffix(".json"), json.dumps(content, indent=2).encode())
 
 
 def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Path:
@@ -362,10 +362,10 @@ def onnx_difference(path: str | Path, program: RigProgram, images: Float[Tensor,
     tables = rig_tables(program) if program.tables == "inputs" else {}
     inputs = {"images": images, **{f"rig.{name}": table for name, table in tables.items()}}
     arrays = {node.name: inputs[node.name].cpu().numpy() for node in session.get_inputs()}
-    found = torch.from_numpy(session.run(["inverse_depth"], arrays)[0])
+    result = torch.from_numpy(session.run(["inverse_depth"], arrays)[0])
     with torch.no_grad():
         expected = program(images)[0].cpu()
-    return float((found - expected).nan_to_num().abs().max())
+    return float((result - expected).nan_to_num().abs().max())
 
 
 def with_constants_folded(traced: GraphModule, *inputs: Any) -> GraphModule:
@@ -373,13 +373,15 @@ def with_constants_folded(traced: GraphModule, *inputs: Any) -> GraphModule:
 
     Index arithmetic of icospheres makes up most of a network's graph, and none of it depends on images.
     """
-    known: dict[Node, Any] = {}
+    values: dict[Node, Any] = {}
 
     class Remembering(Interpreter):
         def run_node(self, n: Node) -> Any:
             value = super().run_node(n)
-            if n.op == "get_attr" or (n.op == "call_function" and all(a in known for a in n.all_input_nodes)):
-                known[n] = value
+            if n.op == "get_attr" or (
+                n.op == "call_function" and all(a in values for a in n.all_input_nodes)
+            ):
+                values[n] = value
             return value
 
     Remembering(traced).run(*inputs)
@@ -388,20 +390,20 @@ def with_constants_folded(traced: GraphModule, *inputs: Any) -> GraphModule:
             continue
         if node.target in CONVOLUTIONS and node.args[2:3] in ((), (None,)):
             # Converters write a bias of zeros in a way that onnxruntime refuses.
-            weight = known[node.args[1]]  # type: ignore[index]
+            weight = values[node.args[1]]  # type: ignore[index]
             traced.register_buffer(f"bias{number}", weight.new_zeros(len(weight)))
             with traced.graph.inserting_before(node):
                 bias = traced.graph.get_attr(f"bias{number}")
             node.args = (*node.args[:2], bias, *node.args[3:])
         if "assert" in str(node.target):
             traced.graph.erase_node(node)
-        elif isinstance(known.get(node), Tensor) and any(user not in known for user in node.users):
+        elif isinstance(values.get(node), Tensor) and any(user not in values for user in node.users):
             name = f"constant{number}"
-            kept = known[node].detach().clone()
-            traced.register_buffer(name, kept.int() if _only_places(node) else kept)
+            constant_value = values[node].detach().clone()
+            traced.register_buffer(name, constant_value.int() if _only_places(node) else constant_value)
             with traced.graph.inserting_before(node):
                 constant = traced.graph.get_attr(name)
-            known[constant] = known[node]
+            values[constant] = values[node]
             node.replace_all_uses_with(constant)
     traced.graph.eliminate_dead_code()
     traced.recompile()

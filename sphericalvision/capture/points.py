@@ -123,10 +123,10 @@ def hangs_between(
     """
     edges = torch.cat((faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]))
     edges = torch.cat((edges, edges.flip(1)))
-    here, there = edges.unbind(1)
+    here, other = edges.unbind(1)
     # Of a plane whose normal is at an angle a from the ray, log depth rises by tan(a) times the angle between rays.
     rise = inverse_depth.clamp(min=1e-6).log().neg()
-    slope = (rise[there] - rise[here]) / (rays[there] - rays[here]).norm(dim=-1).clamp(min=1e-6)
+    slope = (rise[other] - rise[here]) / (rays[other] - rays[here]).norm(dim=-1).clamp(min=1e-6)
     steepest = math.tan(STEEPEST)
     farther, nearer = (rise.new_zeros(len(rays), dtype=torch.bool) for _ in range(2))
     farther[here[slope > steepest]] = True

@@ -58,11 +58,11 @@ def icosphere_lines(level: int, device: torch.device | str | None = None) -> Ico
     row = torch.arange(1, n, device=device)[:, None] + n
     equator = charts[:, row - step[:-1], step[:-1]].transpose(0, 1).flatten(1)
     loops = torch.cat([turn[equator] for turn in _turns_of_the_pole(level, device)])
-    left = charts[:, :, 0]
+    border = charts[:, :, 0]
     edges = torch.stack(
         (
-            left[:, : n + 1],
-            left[:, n:],
+            border[:, : n + 1],
+            border[:, n:],
             charts[:, n],
             charts[:, 2 * n],
             charts[:, n - step, step],

@@ -100,8 +100,8 @@ class TriangleLocator:
         with torch.no_grad():
             if self._table is None:
                 unit = F.normalize(rays.T, dim=-1)
-                found = descend(unit, self.level)
-                return found.numbers(self.level), barycentric_weights(unit, found.corners).T
+                descent = descend(unit, self.level)
+                return descent.numbers(self.level), barycentric_weights(unit, descent.corners).T
             if in_one_graph(rays.device):
                 return find_in_few_steps(rays, self._table)
             triangles, shares = find_triangles(rays, self._table)

@@ -154,9 +154,9 @@ def _pooled_ids(level: int, device: torch.device) -> Tensor:
     """Return what each kept vertex gathers: itself, then its neighbours; itself again where there are five."""
     if check_level(level) == 0:
         raise ArgumentError("level: expected 1 or more to pool, got 0: the icosahedron has no coarser level")
-    kept = coarse_vertex_ids(level, device)[:, None]
-    around = icosphere_neighbors(level, device)[kept[:, 0]]
-    return torch.cat((kept, torch.where(around < 0, kept, around)), 1)
+    coarse = coarse_vertex_ids(level, device)[:, None]
+    around = icosphere_neighbors(level, device)[coarse[:, 0]]
+    return torch.cat((coarse, torch.where(around < 0, coarse, around)), 1)
 
 
 def _mean_table(level: int, like: Tensor) -> tuple[Tensor, Tensor]:

@@ -160,8 +160,8 @@ def candidates_of(fused: FusedLogits) -> Candidates:
             for parent in (one, other)
         ]
         step = (ours - theirs).abs()
-        tried = torch.arange(logits.shape[1], device=logits.device)[:, None] / 2
-        spread = (probability * (tried - best[:, None]).abs()).sum(1)
+        positions = torch.arange(logits.shape[1], device=logits.device)[:, None] / 2
+        spread = (probability * (positions - best[:, None]).abs()).sum(1)
         spread = (spread[:, one] + spread[:, other]) / 2
     return Candidates(index, (likely[0] + likely[1]) / 2, step, spread)
 

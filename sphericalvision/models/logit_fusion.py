@@ -77,13 +77,13 @@ class LogitFusion(nn.Module):
         self, num_hypotheses: int, widths: tuple[int, ...], state: int, blocks: int | Sequence[int] = 1
     ) -> None:
         super().__init__()
-        tried = 2 * num_hypotheses - 1
-        self.sizes = (tried, 2, state)
-        self.entry = nn.Conv1d(2 * tried + 2 * num_hypotheses + 4 + 3 + 6, widths[0], 1)
+        num_positions = 2 * num_hypotheses - 1
+        self.sizes = (num_positions, 2, state)
+        self.entry = nn.Conv1d(2 * num_positions + 2 * num_hypotheses + 4 + 3 + 6, widths[0], 1)
         self.unet = HexUNet(widths, blocks)
         self.exit = nn.Conv1d(widths[0], sum(self.sizes), 1)
         with torch.no_grad():
-            self.exit.weight[: tried + 2].zero_()
+            self.exit.weight[: num_positions + 2].zero_()
         nn.init.zeros_(self.exit.bias)  # type: ignore[arg-type]
         #: Logarithms of what costs and prior are multiplied with everywhere.
         self.sharpness = nn.Parameter(torch.tensor([math.log(4.0), 0.0]))
@@ -159,13 +159,14 @@ def two_modes(logits: Float[Tensor, "B M V"]) -> tuple[Float[Tensor, "B V"], Flo
         >>> [round(index.item(), 3) for index in two_modes(logits)]
         [4.0, 10.0]
     """
-    tried = torch.arange(logits.shape[1], device=logits.device)[:, None]
+    positions = torch.arange(logits.shape[1], device=logits.device)[:, None]
 
     def far_from_best(scores: Tensor) -> Tensor:
-        return (tried - scores.max(1, keepdim=True).indices).abs() > REACH  # argmax takes four times as long
+        # argmax takes four times as long as max
+        return (positions - scores.max(1, keepdim=True).indices).abs() > REACH
 
     def expected(far: Tensor) -> Tensor:
-        return (logits.masked_fill(far, -torch.inf).softmax(1) * tried).sum(1) / 2
+        return (logits.masked_fill(far, -torch.inf).softmax(1) * positions).sum(1) / 2
 
     scores = logits.detach()
     far = far_from_best(scores)

@@ -138,9 +138,9 @@ class Checkerboard(Board):
 
     def _detected(self, grey: Array) -> tuple[Array, Array]:
         flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-        found, corners = cv2.findChessboardCorners(grey, (self.columns, self.rows), flags=flags)
-        ids = np.arange(len(self.points) if found else 0)
-        return ids, corners.reshape(-1, 2) if found else np.zeros((0, 2))
+        success, corners = cv2.findChessboardCorners(grey, (self.columns, self.rows), flags=flags)
+        ids = np.arange(len(self.points) if success else 0)
+        return ids, corners.reshape(-1, 2) if success else np.zeros((0, 2))
 
 
 class Charuco(Board):
@@ -180,14 +180,14 @@ class Charuco(Board):
         self._detector = cv2.aruco.CharucoDetector(self.board)
 
     def _detected(self, grey: Array) -> tuple[Array, Array]:
-        found: dict[int, Array] = {}
+        corner_by_id: dict[int, Array] = {}
         for image, back in self._sized(grey):
             corners, ids, *_ = self._detector.detectBoard(image)
             for corner, place in zip(
                 () if ids is None else corners, () if ids is None else ids.ravel(), strict=True
             ):
-                found.setdefault(int(place), back(corner.reshape(2)))
-        return np.array(list(found), int), np.array(list(found.values())).reshape(-1, 2)
+                corner_by_id.setdefault(int(place), back(corner.reshape(2)))
+        return np.array(list(corner_by_id), int), np.array(list(corner_by_id.values())).reshape(-1, 2)
 
 
 class AprilGrid(Board):
@@ -223,19 +223,19 @@ class AprilGrid(Board):
         self._tags = tags
 
     def _detected(self, grey: Array) -> tuple[Array, Array]:
-        found: dict[int, Array] = {}
+        quads: dict[int, Array] = {}
         for image, back in self._sized(grey):
             for window in _THRESHOLDS:
                 for quad in _dark_quads(image, window):
                     tag, turns = self._decoded(image, quad)
                     if 0 <= tag < self.columns * self.rows:
-                        found[tag] = back(np.roll(quad, turns, axis=0))
+                        quads[tag] = back(np.roll(quad, turns, axis=0))
         # OpenCV's tags stand on their heads beside Kalibr's: its first corner, top left, is the lower right one here.
         width = 2 * self.columns
         around = np.array([1, 0, width, width + 1])
-        first = [2 * width * (tag // self.columns) + 2 * (tag % self.columns) for tag in found]
+        first = [2 * width * (tag // self.columns) + 2 * (tag % self.columns) for tag in quads]
         ids = np.array([start + around for start in first], int).reshape(-1)
-        return ids, np.array(list(found.values())).reshape(-1, 2)
+        return ids, np.array(list(quads.values())).reshape(-1, 2)
 
     def _decoded(self, image: Array, quad: Array) -> tuple[int, int]:
         """Number of the tag in a quad (4, 2), -1 if there is none, and by how many corners it is turned."""
@@ -248,8 +248,8 @@ class AprilGrid(Board):
         inner = np.ascontiguousarray(bits[2:8, 2:8])
         if bits.sum() - inner.sum() > 8:  # of the 64 bits of its border, which are black
             return -1, 0
-        known, tag, turns = self._tags.identify(inner, 0.6)
-        return (int(tag), int(turns)) if known else (-1, 0)
+        success, tag, turns = self._tags.identify(inner, 0.6)
+        return (int(tag), int(turns)) if success else (-1, 0)
 
 
 def _dark_quads(image: Array, window: int) -> Iterator[Array]:
@@ -265,7 +265,7 @@ def _dark_quads(image: Array, window: int) -> Iterator[Array]:
         hull = cv2.convexHull(max(shapes, key=cv2.contourArea))
         length = cv2.arcLength(hull, True)
         quads = (cv2.approxPolyDP(hull, share * length, True) for share in (0.02, 0.03, 0.04, 0.06, 0.08))
-        quad = next((found.reshape(4, 2) for found in quads if len(found) == 4), None)
+        quad = next((candidate.reshape(4, 2) for candidate in quads if len(candidate) == 4), None)
         if quad is not None:
             outwards = quad - quad.mean(0)
             yield quad + (left, top) + 2**0.5 * outwards / np.linalg.norm(outwards, axis=-1, keepdims=True)

@@ -84,10 +84,10 @@ def calibrate_camera(
     camera = convert(
         refine(camera, points, pixels, seen).camera, KannalaBrandtCamera, num_coefficients=2
     ).camera
-    found = refine(camera, points, pixels, seen)
-    camera = found.camera.with_max_angle(min(_reached(found), view_of(found.camera).widest))
-    wanted = convert(camera, model, num_coefficients=num_coefficients, projection=projection).camera
-    return refine(wanted, points, pixels, seen)
+    refined = refine(camera, points, pixels, seen)
+    camera = refined.camera.with_max_angle(min(_reached(refined), view_of(refined.camera).widest))
+    start = convert(camera, model, num_coefficients=num_coefficients, projection=projection).camera
+    return refine(start, points, pixels, seen)
 
 
 def calibrate_rig(
@@ -149,7 +149,7 @@ def calibrate_rig(
         views = (counts[:, place] >= FEWEST).nonzero().flatten()
         if not len(views):
             raise ArgumentError(f"pixels: camera {name} has no view with {FEWEST} points")
-        found = calibrate_camera(
+        calibration = calibrate_camera(
             points,
             pixels[views, place],
             size,
@@ -159,7 +159,10 @@ def calibrate_rig(
             num_coefficients=num_coefficients,
             projection=projection,
         )
-        alone[name] = found.camera, dict(zip(views.tolist(), found.camera_from_points, strict=True))
+        alone[name] = (
+            calibration.camera,
+            dict(zip(views.tolist(), calibration.camera_from_points, strict=True)),
+        )
     rig = CameraRig({name: camera for name, (camera, _) in alone.items()}, _poses(names, alone))
     free = sorted({name for camera in rig.cameras.values() for name in refinable_intrinsics(camera)})
     refined = refine_rig(rig, points, pixels, seen, intrinsics=free)
@@ -186,20 +189,24 @@ def _poses(names: list[str], alone: Mapping[str, tuple[Camera, dict[int, Tensor]
     """World from camera (n, 4, 4), the first being the world: along pairs with most views of the object in common."""
     poses = {names[0]: torch.eye(4, dtype=torch.float64)}
     while len(poses) < len(names):
-        pairs = [(known, other) for known in poses for other in names if other not in poses]
+        pairs = [(reference, other) for reference in poses for other in names if other not in poses]
         shared = {pair: sorted(alone[pair[0]][1].keys() & alone[pair[1]][1].keys()) for pair in pairs}
-        known, other = max(pairs, key=lambda pair: len(shared[pair]))
-        if not shared[known, other]:
+        reference, other = max(pairs, key=lambda pair: len(shared[pair]))
+        if not shared[reference, other]:
             raise ArgumentError(
                 f"pixels: no view of the object is shared by {', '.join(poses)} and "
                 f"{', '.join(name for name in names if name not in poses)}, so nothing ties them together; hold a "
                 "board where the edges of both images show a part of it at the same moment"
             )
-        told = torch.stack(
-            [alone[known][1][view] @ invert_transform(alone[other][1][view]) for view in shared[known, other]]
+        transforms = torch.stack(
+            [
+                alone[reference][1][view] @ invert_transform(alone[other][1][view])
+                for view in shared[reference, other]
+            ]
         )
-        apart = torch.cdist(told.flatten(1), told.flatten(1)).sum(-1)  # the one that the others agree with
-        poses[other] = poses[known] @ told[apart.argmin()]
+        # The one that the others agree with.
+        apart = torch.cdist(transforms.flatten(1), transforms.flatten(1)).sum(-1)
+        poses[other] = poses[reference] @ transforms[apart.argmin()]
     return torch.stack([poses[name] for name in names])
 
 

@@ -106,9 +106,9 @@ def refine(
     seen = None if seen is None else seen[:, None]
     bundle = _Bundle(rig, points, pixels[:, None], seen, [names])
     vector, rms = bundle.solve()
-    (found,), _, world_from_points = bundle.parts(vector)
+    (refined,), _, world_from_points = bundle.parts(vector)
     residuals = bundle.all_residuals(vector)[:, 0]
-    return RefinedCamera(_finished(found, camera), world_from_points, residuals, rms)
+    return RefinedCamera(_finished(refined, camera), world_from_points, residuals, rms)
 
 
 def refine_rig(
@@ -163,9 +163,10 @@ def refine_rig(
         raise ArgumentError(f"intrinsics: no camera of this rig has {', '.join(sorted(unknown))}")
     bundle = _Bundle(rig, points, pixels, seen, names)
     vector, rms = bundle.solve()
-    found, poses, world_from_points = bundle.parts(vector)
+    refined_cameras, poses, world_from_points = bundle.parts(vector)
     cameras = {
-        name: _finished(new, camera) for (name, camera), new in zip(rig.cameras.items(), found, strict=True)
+        name: _finished(new, camera)
+        for (name, camera), new in zip(rig.cameras.items(), refined_cameras, strict=True)
     }
     refined = rig.replaced(cameras, poses.to(rig.world_from_camera))
     return RefinedRig(refined, world_from_points, bundle.all_residuals(vector), rms)
@@ -197,12 +198,16 @@ def _started(camera: Camera) -> Camera:
     return camera.exact() if isinstance(camera, OCamCamera) else camera
 
 
-def _finished(found: Camera, like: Camera) -> Camera:
+def _finished(refined: Camera, like: Camera) -> Camera:
     """The refined camera as the given one: with its limits, dtype and, if it had one, an inverse polynomial."""
-    found = found.with_max_angle(like.max_angle.to(found.max_angle))
-    if isinstance(like, OCamCamera) and like.inverse_polynomial is not None and isinstance(found, OCamCamera):
-        found = fit_inverse_polynomial(found, len(like.inverse_polynomial) - 1).camera
-    return found.to(like.device, like.dtype)
+    refined = refined.with_max_angle(like.max_angle.to(refined.max_angle))
+    if (
+        isinstance(like, OCamCamera)
+        and like.inverse_polynomial is not None
+        and isinstance(refined, OCamCamera)
+    ):
+        refined = fit_inverse_polynomial(refined, len(like.inverse_polynomial) - 1).camera
+    return refined.to(like.device, like.dtype)
 
 
 def _moves(changes: Tensor) -> Tensor:
@@ -345,12 +350,12 @@ class _Bundle:
             pixels = self._predicted(index, copies[0], copies[1], views, copies[2])
             rows = pixels.new_zeros(len(views), 2, len(vector))
             for axis in range(2):
-                found = torch.autograd.grad(
+                gradients = torch.autograd.grad(
                     pixels[:, axis].sum(), copies, retain_graph=True, allow_unused=True
                 )
                 by_intrinsics, by_camera, by_view = (
                     torch.zeros_like(part) if gradient is None else gradient
-                    for gradient, part in zip(found, copies, strict=True)
+                    for gradient, part in zip(gradients, copies, strict=True)
                 )
                 rows[:, axis, self._intrinsic_places(index)] = by_intrinsics
                 if index:

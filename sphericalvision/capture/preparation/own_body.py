@@ -271,9 +271,9 @@ def _far(rig: CameraRig, cameras: Mapping[str, _CameraEdges], name: str) -> Bool
             )
             pixels, valid = rig.cameras[other].project(points)
             x, y = pixels.float().cpu().movedim(-1, 0).contiguous().numpy()
-            there: Any = cv2.remap(cameras[other].median, x, y, cv2.INTER_LINEAR)
+            warped: Any = cv2.remap(cameras[other].median, x, y, cv2.INTER_LINEAR)
             inside = cv2.remap(cameras[other].inside.astype(np.uint8), x, y, cv2.INTER_NEAREST) > 0
-            far |= _eroded(inside & valid.cpu().numpy(), 2) & (_likeness(here, there) > FAR_LIKENESS)
+            far |= _eroded(inside & valid.cpu().numpy(), 2) & (_likeness(here, warped) > FAR_LIKENESS)
     return far
 
 

@@ -87,8 +87,8 @@ class Moving:
         if not self._sampled:
             needed = {self.poses.names[number] for window in windows.values() for number in window}
             self._sampled = {f.name: f for f in self.source.frames(Selection(), needed.__contains__)}
-        found = (self._window(name, self._sampled) for name in windows)
-        return [frame for frame in found if frame.images is not None]
+        frames = (self._window(name, self._sampled) for name in windows)
+        return [frame for frame in frames if frame.images is not None]
 
     def frames(self, selection: Selection, wanted: Callable[[str], bool]) -> Iterator[Frame]:
         """The windows chosen that are wanted, each as soon as its last image is there; an image is read once."""

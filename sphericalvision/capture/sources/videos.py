@@ -180,11 +180,11 @@ class Videos:
 
 def _check_rates(rates: Mapping[str, float], counts: Mapping[str, int]) -> None:
     """Refuse rates that differ by 2 % and more, and warn of less where it adds up to a frame."""
-    told = {name: rate for name, rate in rates.items() if rate > 0}
-    if len(told) < 2:
+    stated = {name: rate for name, rate in rates.items() if rate > 0}
+    if len(stated) < 2:
         return
-    slowest, fastest = min(told.values()), max(told.values())
-    listed = ", ".join(f"{name} {rate:.5g}" for name, rate in told.items())
+    slowest, fastest = min(stated.values()), max(stated.values())
+    listed = ", ".join(f"{name} {rate:.5g}" for name, rate in stated.items())
     if fastest > 1.02 * slowest:
         raise ArgumentError(
             f"images: the videos have different rates ({listed} frames a second), so that frames of one number are of "

@@ -137,7 +137,7 @@ def check_keys(kind: Any, config: DictConfig, words: Sequence[str]) -> None:
         raise ArgumentError(wrong)
 
 
-def unused_key(kind: Any, config: DictConfig, given: Iterable[str]) -> str | None:
+def unused_key(kind: Any, config: DictConfig, overrides: Iterable[str]) -> str | None:
     """What is wrong with the first key that is ``given``, but that does not count; None if all do."""
     for key, mark in marks_of(kind).items():
         needed, equal, values = mark.needed.partition("=")
@@ -146,7 +146,7 @@ def unused_key(kind: Any, config: DictConfig, given: Iterable[str]) -> str | Non
         counts = bool(present & {*values.split("|")}) if equal else value is not None
         if counts or (needed == "outputs" and value is None):  # null are the usual ones, clouds among them
             continue
-        if unused := [name for name in given if f"{name}.".startswith(f"{key}.")]:
+        if unused := [name for name in overrides if f"{name}.".startswith(f"{key}.")]:
             word = mark.word or (mark.needed if equal else f"{needed}=...").replace("|", f" or {needed}=")
             return f"{unused[0]}: counts only with {word}; give that, too, or leave it out"
     return None

@@ -70,16 +70,16 @@ def align(config: AlignConfig) -> RigTurns:
     return result
 
 
-def _read(source: Source, wanted: list[str]) -> list[Mapping[str, Any]]:
+def _read(source: Source, names: list[str]) -> list[Mapping[str, Any]]:
     frames: list[Mapping[str, Any]] = []
-    for frame in source.frames(Selection(), lambda name: name in wanted):
+    for frame in source.frames(Selection(), lambda name: name in names):
         if frame.images is None:
             raise frame.error or ArgumentError(f"images: frame {frame.name} has none")
         frames.append(as_photographs(frame.images, source.rig))
     return frames
 
 
-def _print(rig: CameraRig, found: RigTurns, frames: list[Mapping[str, Tensor]]) -> None:
+def _print(rig: CameraRig, result: RigTurns, frames: list[Mapping[str, Tensor]]) -> None:
     """A row for each camera: its turn, how much of its view others share, exposure, resolution, what to do."""
     light = calibrate_photometry(
         rig, {name: torch.stack([frame[name] for frame in frames]) for name in rig.names}
@@ -89,14 +89,14 @@ def _print(rig: CameraRig, found: RigTurns, frames: list[Mapping[str, Tensor]]) 
     rows = []
     for place, (name, camera) in enumerate(rig.cameras.items()):
         turn, spread = (
-            math.degrees(float(values[place])) for values in (found.turns.norm(dim=-1), found.spread)
+            math.degrees(float(values[place])) for values in (result.turns.norm(dim=-1), result.spread)
         )
         mine = seen[place]
         shared = float((mine & (seen.sum(0) > 1)).sum() / mine.sum().clamp(min=1))
         exposure = float(light.exposure[place].mean().exp())
         resolution = math.radians(pixels_a_radian(camera))
-        doubtful = found.reason and (turn + 2 * spread >= math.degrees(found.within) - 1e-6)
-        what = "turn" if name in found.turned else "look" if doubtful else ""
+        doubtful = result.reason and (turn + 2 * spread >= math.degrees(result.within) - 1e-6)
+        what = "turn" if name in result.turned else "look" if doubtful else ""
         numbers = (
             f"{turn:.2f}",
             f"{spread:.2f}",

@@ -92,8 +92,8 @@ def _tell_turns(turns: dict[str, float], what: str) -> None:
             )
 
 
-def _chosen(found: CameraRig | dict[str, Camera], config: ConvertConfig) -> dict[str, Camera]:
-    cameras = found.cameras if isinstance(found, CameraRig) else found
+def _chosen(calibration: CameraRig | dict[str, Camera], config: ConvertConfig) -> dict[str, Camera]:
+    cameras = calibration.cameras if isinstance(calibration, CameraRig) else calibration
     if config.camera is None:
         return cameras
     if str(config.camera) not in cameras:

@@ -96,7 +96,7 @@ def print_poses(rig: CameraRig, config: InspectConfig) -> None:
 
 
 def save_pictures(
-    rig: CameraRig, known: bool, images: Mapping[str, Tensor], config: InspectConfig, folder: Path
+    rig: CameraRig, has_poses: bool, images: Mapping[str, Tensor], config: InspectConfig, folder: Path
 ) -> list[Path]:
     """Write the angle map of each camera and, where poses are known, the rig and its coverage; returns the files."""
     written = []
@@ -104,7 +104,7 @@ def save_pictures(
         title = f"{name}: {type(camera).__name__}, {camera.image_size[1]} x {camera.image_size[0]}"
         written.append(folder / f"angles_{part_of_name(name)}.png")
         write_image(written[-1], angle_map(camera, images.get(name), rig.masks.get(name), title))
-    if not known:
+    if not has_poses:
         return written
     written.append(folder / "rig.png")
     write_image(written[-1], rig_picture(rig))

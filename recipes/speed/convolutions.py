@@ -81,12 +81,12 @@ def _comparison(
     return Comparison(f"convolution, forward and backward: {title}", runs)
 
 
-def _forward_and_backward(layer: nn.Module, given: Tensor | Crown) -> Callable[[], object]:
+def _forward_and_backward(layer: nn.Module, values: Tensor | Crown) -> Callable[[], object]:
     """Apply a layer and derive by its input and its parameters."""
     inputs = [
-        tensor.detach().requires_grad_() for tensor in (given if isinstance(given, Crown) else (given,))
+        tensor.detach().requires_grad_() for tensor in (values if isinstance(values, Crown) else (values,))
     ]
-    argument = Crown(*inputs) if isinstance(given, Crown) else inputs[0]
+    argument = Crown(*inputs) if isinstance(values, Crown) else inputs[0]
     layer = layer.to(inputs[0].device)
     variables = [*inputs, *layer.parameters()]
 

@@ -163,15 +163,15 @@ class Camera:
         self._check_intrinsics()
         self._broadcast()
 
-    def _fill(self, given: dict[str, Any]) -> None:
+    def _fill(self, values: dict[str, Any]) -> None:
         """What the constructor does with the values of what is declared."""
         for name, declared in self.declared.items():
             if isinstance(declared, Choice):
-                check_choice(name, given[name], declared.choices)
-                setattr(self, name, given[name])
-        max_angle = given["max_angle"]
-        intrinsics = {name: given[name] for name in self.intrinsic_names}
-        Camera.__init__(self, given["image_size"], math.pi if max_angle is None else max_angle, **intrinsics)
+                check_choice(name, values[name], declared.choices)
+                setattr(self, name, values[name])
+        max_angle = values["max_angle"]
+        intrinsics = {name: values[name] for name in self.intrinsic_names}
+        Camera.__init__(self, values["image_size"], math.pi if max_angle is None else max_angle, **intrinsics)
         if max_angle is None:
             self.max_angle = self._model_end()
 

@@ -135,11 +135,11 @@ class RigProgram(nn.Module):
         shape = (images.shape[0], *self.shape)
         together = torch.stack((inverse_depth, confidence, seen.to(inverse_depth))).flatten(0, 1)
         values, reached = self.net.index_at(together, self.rays)
-        inverse_depth, confidence, both = values.unflatten(0, (3, -1)).unbind()
+        inverse_depth, confidence, seen_by_two = values.unflatten(0, (3, -1)).unbind()
         return (
             positive(inverse_depth).where(reached, float("nan")).view(shape),
             confidence.view(shape),
-            ((both > 0.5) & reached).view(shape),
+            ((seen_by_two > 0.5) & reached).view(shape),
         )
 
 

@@ -100,11 +100,12 @@ def icosphere_rings(
     return torch.cat(rings, 1)
 
 
-def _unknown(reached: Tensor, known: Tensor, count: int) -> Tensor:
-    """Return the ids in each row of ``reached`` that are not in ``known``, each once, increasing, then -1."""
-    both = torch.cat((2 * known, 2 * reached + 1), 1).sort(1).values  # of equal ids the known one comes first
-    ids = both.div(2, rounding_mode="floor")
+def _unknown(reached: Tensor, inner: Tensor, count: int) -> Tensor:
+    """Return the ids in each row of ``reached`` that are not in ``inner``, each once, increasing, then -1."""
+    # Even numbers are of inner ids, odd ones of those reached: of equal ids the inner one comes first.
+    tagged = torch.cat((2 * inner, 2 * reached + 1), 1).sort(1).values
+    ids = tagged.div(2, rounding_mode="floor")
     repeated = F.pad(ids[:, 1:] == ids[:, :-1], (1, 0))
-    new = (both % 2 == 1) & ~repeated & (ids >= 0)
+    new = (tagged % 2 == 1) & ~repeated & (ids >= 0)
     ordered = torch.where(new, ids, count).sort(1).values
     return torch.where(ordered == count, -1, ordered)

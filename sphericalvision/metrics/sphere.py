@@ -199,7 +199,7 @@ class SolidAngleIoU(_OnGrid):
 
     def compute(self) -> dict[str, Float[Tensor, " ..."]]:
         """Return accuracy and intersection over union."""
-        both = self.areas.diagonal()
-        iou = both / (self.areas.sum(0) + self.areas.sum(1) - both)
-        accuracy = both.sum() / self.areas.sum()
+        intersection = self.areas.diagonal()
+        iou = intersection / (self.areas.sum(0) + self.areas.sum(1) - intersection)
+        accuracy = intersection.sum() / self.areas.sum()
         return {"accuracy": accuracy.float(), "mIoU": iou.nanmean().float(), "IoU": iou.float()}

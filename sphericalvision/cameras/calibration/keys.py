@@ -88,11 +88,11 @@ class Keys(dict[Any, Any]):
 
     def over(self, below: Keys) -> Keys:
         """These keys, and behind them those of another mapping; at the place of these."""
-        both = Keys(self.where)
-        both.update(below)
-        both.update(self)
-        both.layers = (self, below)
-        return both
+        merged = Keys(self.where)
+        merged.update(below)
+        merged.update(self)
+        merged.layers = (self, below)
+        return merged
 
     def at(self, *keys: str) -> str:
         """Where keys stand, in errors."""

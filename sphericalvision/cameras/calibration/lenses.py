@@ -160,16 +160,16 @@ PANORAMA = Lens(
 """A whole one, which is known by its size."""
 
 
-def _tensor(name: str, declared: Intrinsic, given: Mapping[str, float]) -> Tensor | None:
+def _tensor(name: str, declared: Intrinsic, parameters: Mapping[str, float]) -> Tensor | None:
     """An intrinsic, in float64, of numbers by name."""
     names = declared.names(name)
-    indices = [index for index, number in enumerate(names) if number in given]
+    indices = [index for index, number in enumerate(names) if number in parameters]
     if not indices and declared.optional:
         return None
     if not declared.sizes:
-        return torch.tensor(given[name], dtype=torch.float64)
+        return torch.tensor(parameters[name], dtype=torch.float64)
     size = min(size for size in declared.sizes if size > max(indices, default=0))
-    return torch.tensor([given.get(number, 0.0) for number in names[:size]], dtype=torch.float64)
+    return torch.tensor([parameters.get(number, 0.0) for number in names[:size]], dtype=torch.float64)
 
 
 _DISTORTED = (

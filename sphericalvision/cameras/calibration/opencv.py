@@ -156,13 +156,13 @@ def _image_size(content: Keys, index: str, where: str, options: Options) -> tupl
     for suffix in dict.fromkeys((index, "")):
         width = find(content, ("imagewidth", "width", "imgwidth"), suffix, where)
         height = find(content, ("imageheight", "height", "imgheight"), suffix, where)
-        both = find(content, SIZE, suffix, where)
+        size_key = find(content, SIZE, suffix, where)
         sides = (width or f"image_width{suffix}", height or f"image_height{suffix}")
         sizes = {content.size(*sides)} if width or height else set()
-        if both:
-            sizes.add(size_from_width_height(content.matrix(both, 2), content.at(both)))
+        if size_key:
+            sizes.add(size_from_width_height(content.matrix(size_key, 2), content.at(size_key)))
         if len(sizes) > 1:
-            raise FileFormatError(f"{where}: {both} and {width}, {height} differ; keep the right ones")
+            raise FileFormatError(f"{where}: {size_key} and {width}, {height} differ; keep the right ones")
         if sizes:
             return sizes.pop()
     return options.given_size(where, "image_width and image_height")

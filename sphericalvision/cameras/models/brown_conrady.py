@@ -185,8 +185,8 @@ class BrownConradyCamera(PlaneCamera):
     max_angle: MaxAngle = MaxAngle(default=None)
     skew: OptionalIntrinsic = OptionalIntrinsic(default=None)
 
-    def _fill(self, given: dict[str, Any]) -> None:
-        super()._fill(given)
+    def _fill(self, values: dict[str, Any]) -> None:
+        super()._fill(values)
         self._end_before_second_fold()
 
     def _check_intrinsics(self) -> None:

@@ -196,8 +196,10 @@ class FisheyeCamera(Camera):
     image_size: ImageSize = ImageSize()
     max_angle: MaxAngle = MaxAngle(default=None)
 
-    def _fill(self, given: dict[str, Any]) -> None:
-        super()._fill(given | {"focal_length": _along_both(given["focal_length"], given["principal_point"])})
+    def _fill(self, values: dict[str, Any]) -> None:
+        super()._fill(
+            values | {"focal_length": _along_both(values["focal_length"], values["principal_point"])}
+        )
 
     def _model_end(self) -> Tensor:
         return torch.full_like(self.max_angle, _WIDEST[self.projection])

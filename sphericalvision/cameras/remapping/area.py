@@ -59,8 +59,8 @@ def footprint(
         step = pixels.diff(dim=axis_of_pixels)
         if isinstance(source, EquirectangularCamera):
             step = _on_sphere(step, pixels.narrow(axis_of_pixels, 0, count)[..., 1], source)
-        both = valid.narrow(axis, 0, count) & valid.narrow(axis, 1, count)
-        length = torch.where(both, torch.linalg.vector_norm(step, dim=-1), 0.0)
+        valid_steps = valid.narrow(axis, 0, count) & valid.narrow(axis, 1, count)
+        length = torch.where(valid_steps, torch.linalg.vector_norm(step, dim=-1), 0.0)
         before, after = ((1, 0), (0, 1)) if axis == -1 else ((0, 0, 1, 0), (0, 0, 0, 1))
         span = torch.maximum(F.pad(length, before), F.pad(length, after))
         spans.append(span.reshape(-1, *span.shape[-2:]).amax(0))

@@ -178,10 +178,10 @@ def calibrate_rig(
     return refined._replace(rig=refined.rig.replaced(cameras))
 
 
-def _farthest(found: RefinedRig, place: int, pixels: Tensor) -> float:
+def _farthest(refined: RefinedRig, place: int, pixels: Tensor) -> float:
     """The largest angle from the axis at which a camera was shown a point."""
-    used = found.residuals[:, place].abs().sum(-1) > 0
-    rays = list(found.rig.cameras.values())[place].unproject(pixels[:, place][used].double()).directions
+    used = refined.residuals[:, place].abs().sum(-1) > 0
+    rays = list(refined.rig.cameras.values())[place].unproject(pixels[:, place][used].double()).directions
     return float(angle_from_axis(rays).max())
 
 
@@ -210,6 +210,6 @@ def _poses(names: list[str], alone: Mapping[str, tuple[Camera, dict[int, Tensor]
     return torch.stack([poses[name] for name in names])
 
 
-def _reached(found: RefinedCamera) -> float:
+def _reached(refined: RefinedCamera) -> float:
     """The largest angle from the axis at which the camera looks at all: the lens is not known beyond what was seen."""
-    return min(math.pi, _REACH * float(found.camera.max_angle))
+    return min(math.pi, _REACH * float(refined.camera.max_angle))

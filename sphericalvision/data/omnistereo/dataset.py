@@ -153,33 +153,35 @@ class OmniStereoDataset(Dataset[Sample]):
     def __repr__(self) -> str:
         return f"OmniStereoDataset({str(self.root)!r}, {len(self)} frames, {self.release})"
 
-    def _choose_min_depth(self, given: float | None) -> float:
-        if given is not None:
-            if not 0 < given < math.inf:
-                raise ArgumentError(f"min_depth: expected a positive number of metres, got {given!r}")
-            return float(given)
+    def _choose_min_depth(self, min_depth: float | None) -> float:
+        if min_depth is not None:
+            if not 0 < min_depth < math.inf:
+                raise ArgumentError(f"min_depth: expected a positive number of metres, got {min_depth!r}")
+            return float(min_depth)
         config = self.root / self.release.calibration
         stated = read_min_depth(config) if self.release.name == "tiff" else None
         return self.release.min_depth if stated is None else stated
 
-    def _present(self, wanted: list[int], skip: bool) -> list[int]:
+    def _present(self, requested: list[int], skip: bool) -> list[int]:
         folders = {self.release.ground_truth_folder: self._truths, **self._images}
-        present = [frame for frame in wanted if all(frame in files for files in folders.values())]
-        if present and (skip or len(present) == len(wanted)):
+        present = [frame for frame in requested if all(frame in files for files in folders.values())]
+        if present and (skip or len(present) == len(requested)):
             return present
-        if not wanted:
+        if not requested:
             raise MissingFileError(
                 f"{(self.root / self.release.ground_truth_folder).absolute()}: no frames asked for or "
                 f"found; ground truth is named 00001{self.release.suffix}. Described in {DESCRIBED_AT}."
             )
-        lacking = {name: [frame for frame in wanted if frame not in files] for name, files in folders.items()}
+        lacking = {
+            name: [frame for frame in requested if frame not in files] for name, files in folders.items()
+        }
         counts = ", ".join(
             f"{name}/ lacks {len(numbers)} (first {numbers[0]:05d})"
             for name, numbers in lacking.items()
             if numbers
         )
         raise MissingFileError(
-            f"{self.root.absolute()}: {len(wanted) - len(present)} of the {len(wanted)} frames asked for are "
+            f"{self.root.absolute()}: {len(requested) - len(present)} of the {len(requested)} frames asked for are "
             f"incomplete: {counts}. Names have four or five digits. For a partial copy use missing='skip'; "
             f"for a set of one's own use split='all' or frames=[...]. Described in {DESCRIBED_AT}."
         )

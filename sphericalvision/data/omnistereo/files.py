@@ -207,11 +207,11 @@ def index_frames(
 
 
 def _valid_triples() -> str:
-    both = "; ".join(
+    releases = "; ".join(
         f"({release}, minimum depth {release.min_depth:g} m, rig radius {release.radius:.2f} m)"
         for release in RELEASES.values()
     )
-    return f"The two published releases differ threefold in scale and are valid only whole: {both}."
+    return f"The two published releases differ threefold in scale and are valid only whole: {releases}."
 
 
 def _expectation(name: str | None = None) -> str:

@@ -160,7 +160,7 @@ def write_ground_truth(
         raise ArgumentError(f"path: expected the suffix .png or .tiff, got {path.name!r}")
 
 
-def _thumbnail(inverse_depth: torch.Tensor, known: torch.Tensor, min_depth: float) -> np.ndarray:
+def _thumbnail(inverse_depth: torch.Tensor, valid: torch.Tensor, min_depth: float) -> np.ndarray:
     """Grey picture of inverse depth, white at ``min_depth``; what ordinary viewers show of the TIFF."""
-    grey = torch.where(known, inverse_depth * min_depth, 0.0).clamp(0, 1)
+    grey = torch.where(valid, inverse_depth * min_depth, 0.0).clamp(0, 1)
     return (grey * 255).round().to(torch.uint8)[..., None].expand(-1, -1, 3).numpy()

@@ -100,8 +100,8 @@ class MeshFolder(Mapping[str, bytes]):
 
 
 @contextmanager
-def _complaints(found: list[str]) -> Iterator[None]:
-    """Add to ``found`` what trimesh cannot load meanwhile: it goes on without, and tells only its log.
+def _complaints(messages: list[str]) -> Iterator[None]:
+    """Add to ``messages`` what trimesh cannot load meanwhile: it goes on without, and tells only its log.
 
     Textures of the extension `SPECULAR` stay packed meanwhile: trimesh would unpack and mix them, of whatever size.
     """
@@ -110,7 +110,7 @@ def _complaints(found: list[str]) -> Iterator[None]:
 
     def keep(record: logging.LogRecord) -> bool:
         if record.exc_info and record.exc_info[1] is not None:
-            found.append(str(record.exc_info[1]))
+            messages.append(str(record.exc_info[1]))
         return record.levelno >= shown
 
     log.addFilter(keep)

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Num
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError, check_tensor
 
-__all__ = ["depth_index_huber", "solid_angle_mean"]
+__all__ = ["depth_index_huber", "mean_of_samples", "solid_angle_mean"]
 
 
 def depth_index_huber(
@@ -20,7 +20,7 @@ def depth_index_huber(
     delta: float = 1.0,
     weights: Float[Tensor, " *grid"] | Float[Tensor, " B *grid"] | None = None,
 ) -> Float[Tensor, ""]:
-    """Return the mean Huber loss of hypothesis indices over the points of a mask.
+    """Return the mean Huber loss of hypothesis indices over the points of a mask, then over the samples.
 
     Args:
         pred_index: ``(B, V)`` predicted indices, 0 to N - 1, as from ``soft_argmax``.
@@ -31,7 +31,8 @@ def depth_index_huber(
         weights: ``(V,)`` or ``(B, V)``, for instance the solid angles of a grid; equal when not given.
 
     Returns:
-        A scalar; 0, with zero gradients, if the mask is empty.
+        A scalar, the mean of what each sample has alone: as with ``accumulate_grad_batches``, a sample with few known
+        points counts as much as one with many. A sample with an empty mask has 0, with zero gradients.
 
     Raises:
         ShapeError: if the shapes differ.
@@ -57,17 +58,28 @@ def depth_index_huber(
     if mask is not None:
         mask = mask.bool()
         pred_index, target_index = pred_index.where(mask, 0), target_index.where(mask, 0)
+    losses = F.huber_loss(pred_index, target_index, delta=delta, reduction="none")
     if weights is not None:
         if weights.shape not in (pred_index.shape, pred_index.shape[-1:]):
             raise ShapeError(f"weights: expected shape ({pred_index.shape[-1]},), got {tuple(weights.shape)}")
-        losses = F.huber_loss(pred_index, target_index, delta=delta, reduction="none")
         shares = weights.to(losses).expand_as(losses)
-        shares = shares if mask is None else shares.where(mask, 0.0)
-        return _ratio((losses * shares).sum(), shares.sum())
-    if mask is None:
-        return F.huber_loss(pred_index, target_index, delta=delta)
-    total = F.huber_loss(pred_index, target_index, delta=delta, reduction="sum")
-    return total / mask.sum().clamp(min=1)
+    else:
+        shares = torch.ones_like(losses)
+    shares = shares if mask is None else shares.where(mask, 0.0)
+    return mean_of_samples(losses, shares)
+
+
+def mean_of_samples(
+    values: Float[Tensor, " B *grid"], weights: Num[Tensor, " B *grid"] | Bool[Tensor, " B *grid"]
+) -> Float[Tensor, ""]:
+    """Return the mean over the samples of each one's weighted mean; 0 for a sample without weight.
+
+    Examples:
+        >>> mean_of_samples(torch.tensor([[1.0, 3.0], [5.0, 7.0]]), torch.tensor([[1.0, 1.0], [0.0, 2.0]]))
+        tensor(4.5000)
+    """
+    shares = weights.to(values).flatten(1)
+    return _ratio((values.flatten(1) * shares).sum(1), shares.sum(1)).mean()
 
 
 def solid_angle_mean(

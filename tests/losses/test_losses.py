@@ -13,8 +13,9 @@ from sphericalvision.losses import depth_index_huber
 def test_equals_its_definition(generator: torch.Generator, delta: float) -> None:
     pred, target = 3 * torch.randn(2, 2, 50, generator=generator)
     mask = torch.rand(2, 50, generator=generator) > 0.4
-    error = (pred - target)[mask].abs()
-    expected = torch.where(error <= delta, 0.5 * error**2, delta * (error - 0.5 * delta)).mean()
+    error = (pred - target).abs()
+    losses = torch.where(error <= delta, 0.5 * error**2, delta * (error - 0.5 * delta))
+    expected = torch.stack([values[where].mean() for values, where in zip(losses, mask, strict=True)]).mean()
     torch.testing.assert_close(depth_index_huber(pred, target, mask, delta), expected)
 
 

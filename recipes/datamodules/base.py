@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from itertools import count, islice
+from typing import Any, ClassVar
 
 import pytorch_lightning as pl
 import torch
-from pydantic import Field
-from torch.utils.data import DataLoader, Dataset
+from torch.utils.data import DataLoader, Dataset, Sampler
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.data.collate import collate_samples
@@ -18,6 +20,7 @@ from sphericalvision.recipes.app.kinds import Count, Number
 __all__ = [
     "PreparedSamples",
     "SampleDataModule",
+    "TrainingBatches",
     "TrainingStream",
     "even_batches",
 ]
@@ -28,39 +31,20 @@ Sample = dict[str, Any]
 
 
 class TrainingStream(Dataset[Sample]):
-    """A data set shuffled anew in every round, as one long sequence whose order is known beforehand.
+    """A data set shuffled anew in every round, as one endless sequence whose order is known beforehand.
 
     What stands at a position, augmentation included, depends on the seed and the position alone: not on the
     number of workers, and not on whether training was interrupted before.
 
     Args:
         dataset: samples by index.
-        length: number of positions.
         seed: of the order and of torch's global generator while a sample is made.
-        start: position that index 0 stands for, when training resumes.
-        batch_size: samples that a process takes at once.
-        rank: of the process, from 0.
-        world: number of processes; their batches follow each other, so that together they read the same sequence as
-            one process with batches ``world`` times as large.
     """
 
-    def __init__(
-        self,
-        dataset: Dataset[Sample],
-        length: int,
-        seed: int = 0,
-        start: int = 0,
-        batch_size: int = 1,
-        rank: int = 0,
-        world: int = 1,
-    ) -> None:
-        self.dataset, self.length, self.seed, self.start = dataset, length, seed, start
-        self.batch_size, self.rank, self.world = batch_size, rank, world
+    def __init__(self, dataset: Dataset[Sample], seed: int = 0) -> None:
+        self.dataset, self.seed = dataset, seed
         self._round = -1
         self._order: list[int] = []
-
-    def __len__(self) -> int:
-        return self.length
 
     def index_at(self, position: int) -> int:
         """Index of the sample that stands at a position."""
@@ -71,12 +55,66 @@ class TrainingStream(Dataset[Sample]):
             self._round, self._order = shuffle, torch.randperm(size, generator=generator).tolist()
         return self._order[offset]
 
-    def __getitem__(self, index: int) -> Sample:
-        batch, offset = divmod(index, self.batch_size)
-        position = self.start + (batch * self.world + self.rank) * self.batch_size + offset
+    def __getitem__(self, position: int) -> Sample:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed((self.seed + 1) * 1_000_000_007 + position)
             return self.dataset[self.index_at(position)]
+
+
+class TrainingBatches(Sampler[list[int]]):
+    """Positions of a training stream in batches of samples of one group, in an order that is known beforehand.
+
+    Samples are taken in the order of the stream; each waits for the others of its group, and none is left out.
+
+    Args:
+        stream: whose positions they are.
+        batch_size: samples in a batch.
+        length: number of batches.
+        group: of a sample, by its index in the data set; samples of one group can be stacked. One for all when not
+            given.
+        start: batches that all processes together have used up, when training resumes.
+        rank: of the process, from 0.
+        world: number of processes, which take batches in turns: together they take those of one process.
+
+    Examples:
+        >>> stream = TrainingStream([{}] * 6)
+        >>> list(TrainingBatches(stream, batch_size=2, length=3))
+        [[0, 1], [2, 3], [4, 5]]
+        >>> [stream.index_at(position) for position in range(6)]
+        [4, 1, 2, 0, 5, 3]
+        >>> list(TrainingBatches(stream, batch_size=2, length=3, group=lambda index: index % 2))
+        [[0, 2], [1, 4], [3, 6]]
+    """
+
+    def __init__(
+        self,
+        stream: TrainingStream,
+        batch_size: int,
+        length: int,
+        group: Callable[[int], int] | None = None,
+        start: int = 0,
+        rank: int = 0,
+        world: int = 1,
+    ) -> None:
+        self.stream, self.batch_size, self.length = stream, batch_size, length
+        self.group = group
+        self.start, self.rank, self.world = start, rank, world
+
+    def __len__(self) -> int:
+        return self.length
+
+    def __iter__(self) -> Iterator[list[int]]:
+        first = self.start + self.rank
+        return islice(self._batches(), first, first + self.length * self.world, self.world)
+
+    def _batches(self) -> Iterator[list[int]]:
+        """The batches of all processes from the first one on."""
+        waiting: defaultdict[int, list[int]] = defaultdict(list)
+        for position in count():
+            group = 0 if self.group is None else self.group(self.stream.index_at(position))
+            waiting[group].append(position)
+            if len(waiting[group]) == self.batch_size:
+                yield waiting.pop(group)
 
 
 def even_batches(number: int, batch_size: int, world: int) -> list[list[int]]:
@@ -144,6 +182,10 @@ class SampleDataModule(pl.LightningDataModule):
         """The training samples without augmentation, in order."""
         return self.dataset("train")
 
+    def group(self, index: int) -> int:
+        """Number of the group of a training sample: only samples of one group share a batch. One for all here."""
+        return 0
+
     def left_out(self) -> list[str]:
         """Sentences about samples that were skipped, to be said at the end."""
         return []
@@ -154,16 +196,16 @@ class SampleDataModule(pl.LightningDataModule):
     def train_dataloader(self) -> DataLoader[Sample]:
         """Endless training batches up to ``trainer.max_steps``, from where a resumed run stopped."""
         steps = self.trainer.max_steps * self.trainer.accumulate_grad_batches if self.trainer else -1
-        length = steps * self.batch_size if steps > 0 else ENDLESS
-        stream = TrainingStream(
-            self.dataset("train"),
-            length,
-            self.seed,
-            self.samples_seen,
+        stream = TrainingStream(self.dataset("train"), self.seed)
+        batches = TrainingBatches(
+            stream,
             self.batch_size,
+            steps if steps > 0 else ENDLESS,
+            self.group,
+            self.samples_seen // self.batch_size,
             *self.rank_and_world(),
         )
-        return self.loader(stream)
+        return self.loader(stream, batches)
 
     def val_dataloader(self) -> DataLoader[Sample]:
         """Validation batches, in order; with several processes each gets its part."""
@@ -182,13 +224,21 @@ class SampleDataModule(pl.LightningDataModule):
         rank, world = self.rank_and_world()
         if world == 1:
             return self.loader(dataset)
-        return self.loader(dataset, even_batches(len(dataset), self.batch_size, world)[rank::world])  # type: ignore[arg-type]
+        size = self.ordered_batch_size
+        return self.loader(dataset, even_batches(len(dataset), size, world)[rank::world])  # type: ignore[arg-type]
 
-    def loader(self, dataset: Dataset[Sample], batches: list[list[int]] | None = None) -> DataLoader[Sample]:
+    @property
+    def ordered_batch_size(self) -> int:
+        """Samples in a batch of those that stay in order, for validation, tests and evaluation."""
+        return self.batch_size
+
+    def loader(
+        self, dataset: Dataset[Sample], batches: TrainingBatches | list[list[int]] | None = None
+    ) -> DataLoader[Sample]:
         """Batches of any data set of these samples, in order unless ``batches`` says which."""
         return DataLoader(
             dataset,
-            batch_size=self.batch_size if batches is None else 1,
+            batch_size=self.ordered_batch_size if batches is None else 1,
             batch_sampler=batches,
             num_workers=self.num_workers,
             collate_fn=collate_samples,
@@ -208,13 +258,18 @@ class SampleDataModule(pl.LightningDataModule):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class PreparedSamples(SampleDataModule):
-    """Samples of which each has a rig of its own, so that batches are of one, and whose images are made ready.
+    """Samples of which each has a rig of its own, and whose images are made ready.
+
+    Batches of training hold samples of as many cameras each; what is validated or tested comes one by one.
 
     Args:
         photometric: as of ``Preparation``.
     """
 
-    batch_size: Annotated[
-        Literal[1], Field(description="1, as rigs differ (see trainer.accumulate_grad_batches)")
-    ] = 1
+    batch_size: Count = 1
     photometric: bool = True
+
+    @property
+    def ordered_batch_size(self) -> int:
+        """1: in their order, samples of as many cameras each do not follow each other."""
+        return 1

@@ -65,8 +65,8 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
     white, of any colour or cloudy, and a few have no lamps: so meshes and photographs of other people look. Images are
     prepared as in use, and averaged where they are finer than the icosphere.
 
-    Rigs have different numbers of cameras, so batches are of one; ``trainer.accumulate_grad_batches`` makes steps of
-    several. In training, the world is turned by random multiples of 72 degrees, and half of the samples are mirrored.
+    A batch of training has rigs of as many cameras each. In training, the world is turned by random multiples of 72
+    degrees, and half of the samples are mirrored.
     The cache keeps, too, what a network computes of samples before anything that is trained.
 
     Args:
@@ -99,19 +99,33 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
         super().bind_network(net, depth_level=depth_level)
         self.net = net  # type: ignore[misc]
 
-    def plain(self, split: str) -> Dataset[Sample]:
-        """Samples of one split as they are kept."""
+    def __post_init__(self) -> None:
+        super().__post_init__()
         values = dict(self.world)
         size = int(self.image_size[0]), int(self.image_size[1])
-        world = World.of(
+        self.drawn_world = World.of(
             values,
             rig=LevelOrRandomRigs(values.pop("level_rigs"), size),
             prepare=Preparation(self.photometric).of_images,
             samples_per_pixel=self.samples_per_pixel,
             draws=by_purpose,
         )
-        scenes = WorldSamples(world, replace(self.view, antialias=True), self.seeds(split), self.cache_dir)
-        return scenes if self.net is None else WithFixedInputs(scenes, self.net)
+        self.numbers_of_cameras: dict[int, int] = {}
+
+    def plain(self, split: str) -> Dataset[Sample]:
+        """Samples of one split as they are kept."""
+        view = replace(self.view, antialias=True)
+        scenes = WorldSamples(self.drawn_world, view, self.seeds(split), self.cache_dir)
+        if self.net is None or self.cache_dir is None:  # what is not kept is the step's work, on its device
+            return scenes
+        return WithFixedInputs(scenes, self.net)
+
+    def group(self, index: int) -> int:
+        """The number of cameras of a training sample: drawing a rig takes milliseconds, and is done once a seed."""
+        if index not in self.numbers_of_cameras:
+            frame = self.drawn_world.frame(self.seeds("train")[index])
+            self.numbers_of_cameras[index] = len(frame.true_rig)
+        return self.numbers_of_cameras[index]
 
 
 def fingerprint(net: DepthNetwork) -> str:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import torch
 from torch import Tensor
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
@@ -68,6 +69,11 @@ class DepthModule(TrainingModule):
         """Start from the parameters of another network; see ``checkpoints.initialize``."""
         initialize(self.net, weights)
 
+    def transfer_batch_to_device(self, batch: dict[str, Any], device: torch.device, number: int) -> Any:
+        """Move all of a batch but its rigs: their tables are made on the device, and known by numbers on the host."""
+        rest = {name: values for name, values in batch.items() if name != "rig"}
+        return {**super().transfer_batch_to_device(rest, device, number), "rig": batch["rig"]}
+
     def forward(self, images: Tensor, rig: Any, seen: Tensor | None = None) -> Tensor:
         """Hypothesis index of images seen by ``rig``, on the network's grid."""
         return self.net(images, rig, seen)  # type: ignore[no-any-return]
@@ -92,8 +98,8 @@ class DepthModule(TrainingModule):
         """The loss of one batch."""
         images, seen = images_of(batch, self.net)
         fixed = batch.get("fixed")
-        rig = batch["rig"] if fixed else self.tables.of(batch["rig"])
-        loss: Tensor = self.net.training_loss(images, rig, seen, *self.target(batch), self.loss, fixed)
+        tables = self.tables.of(batch["rig"], bool(fixed))
+        loss: Tensor = self.net.training_loss(images, tables, seen, *self.target(batch), self.loss, fixed)
         self.log("train/loss", loss, prog_bar=True, batch_size=len(images))
         return loss
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -10,9 +11,10 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.fingerprint import rig_fingerprint
+from sphericalvision.core import ArgumentError
 from sphericalvision.models import DepthNetwork
 
-__all__ = ["RigTables"]
+__all__ = ["RigTables", "stacked_tables"]
 
 BYTES = 1 << 30
 """How much the tables kept may weigh together; at least one is kept."""
@@ -35,21 +37,61 @@ class RigTables:
 
     def __init__(self, net: DepthNetwork, capacity: int = 16) -> None:
         self.net, self.capacity = net, capacity
-        self._tables: dict[tuple[str, str], Any] = {}  # the one used last at the end
+        self._tables: dict[tuple[str, str, bool], Any] = {}  # the one used last at the end
 
-    def of(self, rig: CameraRig) -> Any:
-        """Return what ``net.tables(rig)`` returns, made only once for equal cameras and poses."""
-        key = (str(self.net.device), rig_fingerprint(rig, digits=7))
+    def of(self, rigs: CameraRig | Sequence[CameraRig], fixed: bool = False) -> Any:
+        """Return what ``net.training_tables`` returns, made only once for equal cameras and poses.
+
+        Args:
+            rigs: one for all samples, or those of a batch, as ``collate_samples`` has them: a batched rig or a list.
+                Where all are equal, the tables have no batch dimension.
+            fixed: whether the network has ``fixed_inputs`` beside them.
+        """
+        if isinstance(rigs, CameraRig):
+            rigs = [rigs.select(i) for i in range(len(rigs.positions))] if rigs.batch_shape else [rigs]
+        return stacked_tables([self._of_one(rig, fixed) for rig in rigs])
+
+    def _of_one(self, rig: CameraRig, fixed: bool) -> Any:
+        key = (str(self.net.device), rig_fingerprint(rig, digits=7), fixed)
         tables = self._tables.pop(key, None)
         if tables is None:
             with torch.no_grad():
-                tables = self.net.tables(rig)
+                tables = self.net.training_tables(rig, fixed)
         self._tables[key] = tables
         while len(self._tables) > 1 and (
             len(self._tables) > self.capacity or _bytes(tuple(self._tables.values())) > BYTES
         ):
             del self._tables[next(iter(self._tables))]
         return tables
+
+
+def stacked_tables(parts: Sequence[Any]) -> Any:
+    """Tables of single rigs as those of a batch; as they are if all are the same.
+
+    Raises:
+        ArgumentError: they differ in something that a batch has once, such as the size of images.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.models import IcoSweepNet
+        >>> net = IcoSweepNet(level=3, num_hypotheses=4, feature_channels=2, num_cameras=2)
+        >>> tables = [net.tables(ring_rig(2)), net.tables(ring_rig(2, radius=0.1))]
+        >>> stacked_tables(tables).ids.shape
+        torch.Size([2, 4, 42, 2, 3])
+    """
+    first = parts[0]
+    if all(part is first for part in parts):
+        return first
+    if isinstance(first, Tensor):
+        return torch.stack(list(parts))
+    if isinstance(first, CameraRig):
+        return CameraRig.stack(parts)
+    if isinstance(first, tuple):
+        values = [stacked_tables(values) for values in zip(*parts, strict=True)]
+        return type(first)(*values) if hasattr(first, "_fields") else tuple(values)
+    if any(part != first for part in parts):
+        raise ArgumentError(f"rigs: expected a batch whose images have one size, got {list(parts)}")
+    return first
 
 
 def _bytes(tables: Any) -> int:

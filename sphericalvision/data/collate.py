@@ -17,7 +17,8 @@ __all__ = ["collate_samples"]
 def collate_samples(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Make a batch of samples: tensors (also in dicts) are stacked, rigs become one batched rig.
 
-    Anything else, such as the frames' names, becomes a list. Serves as ``collate_fn`` of a ``DataLoader``.
+    Anything else, such as the frames' names, becomes a list; so do rigs whose names, camera models or image sizes
+    differ. Serves as ``collate_fn`` of a ``DataLoader``.
 
     Args:
         samples: dicts with the same keys; each sample may have a rig of its own.
@@ -54,7 +55,14 @@ def _collate_values(key: str, values: list[Any]) -> Any:
             )
         return torch.stack(values)
     if isinstance(first, CameraRig):
-        return CameraRig.stack(values)
+        return _stacked_rigs(values)
     if isinstance(first, Mapping):
         return {name: _collate_values(f"{key}.{name}", [value[name] for value in values]) for name in first}
     return values
+
+
+def _stacked_rigs(rigs: list[CameraRig]) -> CameraRig | list[CameraRig]:
+    try:
+        return CameraRig.stack(rigs)
+    except ArgumentError:  # fisheyes and panoramas, for instance, have no parameters to put side by side
+        return rigs

@@ -201,14 +201,16 @@ class DepthNetwork(RemembersArguments):
     ) -> Float[Tensor, ""]:
         """Return what training makes small: the loss of the index, unless a network wants more.
 
+        The loss of a batch is the mean of its samples' losses, each with its own rig.
+
         Args:
             images: as for ``predict``; so are ``rig`` and ``seen``.
-            rig: see there.
+            rig: see there; or ``training_tables``.
             seen: see there.
             target: the true index.
             valid: where it is known.
             loss: of index, true index and where that is known.
-            fixed: what ``fixed_inputs`` returned for these images; ``rig`` is a ``CameraRig`` then.
+            fixed: what ``fixed_inputs`` returned for these images; ``seen`` is given then, too.
         """
         return loss(self(images, rig, seen), target, valid)
 
@@ -239,6 +241,10 @@ class DepthNetwork(RemembersArguments):
     def tables(self, rig: CameraRig) -> Any:
         """Return what may be passed in place of a rig, as often as wanted, to compute once what follows from it."""
         return rig
+
+    def training_tables(self, rig: CameraRig, fixed: bool = False) -> Any:
+        """Return what ``training_loss`` takes in place of a rig: ``tables``, or less where it has ``fixed`` inputs."""
+        return self.tables(rig)
 
     def check_images(
         self,

@@ -14,6 +14,7 @@ from torch import Tensor
 from sphericalvision.core import ArgumentError, constant_table
 from sphericalvision.icosphere import Icosphere, icosphere_upsample, icosphere_vertices
 from sphericalvision.icosphere.topology import check_level
+from sphericalvision.losses.depth import mean_of_samples
 from sphericalvision.models.base import DepthNetwork
 from sphericalvision.models.candidate_refinement import (
     CandidateRefinement,
@@ -78,16 +79,31 @@ class RefinedTables(NamedTuple):
         return RefinedTables(self.sweep.to(device), self.prior.to(device), self.offsets.to(device))
 
 
+class LearnedTables(NamedTuple):
+    """What training needs of a rig beside ``RefinedSweepNet.fixed_inputs``.
+
+    Attributes:
+        prior: of the learned prior's sweep; None if the prior does not learn.
+        offsets: ``([B,] n, 3)`` from each camera to the rig's centre, metres.
+    """
+
+    prior: SweepTables | None
+    offsets: Float[Tensor, "*batch n 3"]
+
+
 class RefinedSweepNet(DepthNetwork):
     """Depth of any rig at the level of its images: a semi-global sweep and a learned prior, fused and refined.
 
-    ==========  ================  ======================================================================
+    ==========  ================  ===============================================================
+
     stage       level             what it does
-    ==========  ================  ======================================================================
+    ==========  ================  ===============================================================
+
     clues       level - 1         costs of ``semi_global_costs``; logits of an ``IcoSweepNet``, the prior
     fusion      level - 1         both added as logits, with gates and a residual: ``LogitFusion``
     refinement  level             a choice between the depths around each vertex: ``CandidateRefinement``
-    ==========  ================  ======================================================================
+    ==========  ================  ===============================================================
+
 
     The sweep is accurate where there is texture, and the prior knows what scenes look like where there is none. It
     takes two or more cameras in any order, tilted or not, with partial coverage, or panoramas.
@@ -179,9 +195,15 @@ class RefinedSweepNet(DepthNetwork):
     def tables(self, rig: CameraRig) -> RefinedTables:
         """Return where each camera sees every point that is tried, to be passed in place of the rig."""
         rig = rig.to(self.device)
-        number, offsets = self.inner_hypotheses, rig.center[..., None, :] - rig.positions
-        sweep = semi_global_tables(rig, number, self.min_depth, self.level)
-        return RefinedTables(sweep, self.prior.tables(rig), offsets)
+        sweep = semi_global_tables(rig, self.inner_hypotheses, self.min_depth, self.level)
+        return RefinedTables(sweep, self.prior.tables(rig), _offsets(rig))
+
+    def training_tables(self, rig: CameraRig, fixed: bool = False) -> RefinedTables | LearnedTables:
+        """Return ``tables``, or with ``fixed`` inputs what the parts that learn need of a rig."""
+        if not fixed:
+            return self.tables(rig)
+        rig = rig.to(self.device)
+        return LearnedTables(self.prior.tables(rig) if self._prior_learns else None, _offsets(rig))
 
     def predict(
         self,
@@ -292,7 +314,7 @@ class RefinedSweepNet(DepthNetwork):
     def training_loss(
         self,
         images: Float[Tensor, "B n 3 V_image"],
-        rig: CameraRig,
+        rig: CameraRig | RefinedTables | LearnedTables,
         seen: Bool[Tensor, "B n V_image"] | None,
         target: Float[Tensor, "B V_image"],
         valid: Bool[Tensor, "B V_image"],
@@ -305,21 +327,21 @@ class RefinedSweepNet(DepthNetwork):
         around the true index. The confidence learns 1 less the error of the index, in halves of hypotheses up to two;
         the sky, where the true index is 0: at infinity. Where there is little of it, behind windows, it counts more.
         """
-        tables = rig if isinstance(rig, RefinedTables) else (None if fixed else self.tables(rig))
-        if seen is None:
-            seen = self.tables(rig).sweep.seen if tables is None else tables.sweep.seen
-        seen = check_seen(seen, images)
-        offsets = rig.center[..., None, :] - rig.positions if tables is None else tables.offsets
-        if tables is not None:
+        tables = rig if isinstance(rig, tuple) else self.training_tables(rig, bool(fixed))
+        if isinstance(tables, RefinedTables):
+            seen = check_seen(tables.sweep.seen if seen is None else seen, images)
             clues = self.clues(images, tables, seen)
-        else:
-            assert fixed is not None
-            prior = (
-                self._prior(images, self.prior.tables(rig), seen) if self._prior_learns else fixed["prior"]
-            )
+        elif fixed and seen is not None:
+            seen = check_seen(seen, images)
+            prior = fixed["prior"] if tables.prior is None else self._prior(images, tables.prior, seen)
             clues = _from_bytes(fixed, prior)
-        fused = self.fuse(clues, images, seen, offsets)
-        refined = self.refine(fused, images, seen, offsets)
+        else:
+            raise ArgumentError(
+                "seen, fixed: expected both where training_tables(rig, fixed=True) stand for the rig, got "
+                f"{'no seen' if fixed else 'no fixed'}; pass what fixed_inputs returned and what it was given"
+            )
+        fused = self.fuse(clues, images, seen, tables.offsets)
+        refined = self.refine(fused, images, seen, tables.offsets)
         scale = (self.inner_hypotheses - 1) / (self.num_hypotheses - 1)
         true = (target * scale).clamp(0, self.inner_hypotheses - 1)
         ids = ids_of_coarser_level(self.level, self.level - 1, true.device)
@@ -336,8 +358,8 @@ class RefinedSweepNet(DepthNetwork):
         return (
             loss(refined.index, true, valid, weights=both)
             + 0.4 * loss(two_modes(fused.logits)[0], coarse, coarse_valid, weights=known)
-            + 0.05 * (entropy * known).sum() / known.sum().clamp(min=1)
-            + 0.1 * (doubt * valid).sum() / valid.sum().clamp(min=1)
+            + 0.05 * mean_of_samples(entropy, known)
+            + 0.1 * mean_of_samples(doubt, valid)
         )
 
 
@@ -345,6 +367,11 @@ class RefinedSweepNet(DepthNetwork):
 def _spread_over(number: int, device: torch.device) -> Tensor:
     """Four of as many hypotheses, from the first to the last."""
     return torch.linspace(0, number - 1, 4, device=device).round().long()
+
+
+def _offsets(rig: CameraRig) -> Tensor:
+    """``(*b, n, 3)`` from each camera to the rig's centre."""
+    return rig.center[..., None, :] - rig.positions
 
 
 def _cross_entropy(logits: Tensor, index: Tensor) -> Tensor:

@@ -38,8 +38,8 @@ class WorldSamples(Dataset[dict[str, Any]]):
 
     Returns:
         Samples with the entries of the view, the ``rig`` as its calibration has it, and ``frame``, kind and seed. Depth
-        is ``valid`` from ``world.min_depth`` on. Where a world draws rigs their numbers of cameras differ, so batches
-        are of one.
+        is ``valid`` from ``world.min_depth`` on. Where a world draws rigs their numbers of cameras differ: a batch
+        takes samples of as many each.
 
     Raises:
         ArgumentError: seeds out of range, or cameras farther from the rig's centre than the space that scenes keep

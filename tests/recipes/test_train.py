@@ -17,7 +17,7 @@ from omegaconf import OmegaConf
 
 from sphericalvision.models import load_weights
 from sphericalvision.recipes.app.checkpoints import load_network
-from sphericalvision.recipes.datamodules.base import SampleDataModule, TrainingStream
+from sphericalvision.recipes.datamodules.base import SampleDataModule, TrainingBatches, TrainingStream
 from sphericalvision.recipes.training.depth_module import METRICS, DepthModule
 from tests.recipes.tiny import Run, command_after
 
@@ -184,13 +184,14 @@ def test_a_training_stream_is_a_function_of_seed_and_position() -> None:
         def __getitem__(self, index: int) -> dict[str, Any]:
             return {"index": index, "noise": torch.rand(())}
 
-    whole = [TrainingStream(Noisy(), 15, seed=3)[i] for i in range(15)]
+    stream = TrainingStream(Noisy(), seed=3)
+    whole = [stream[i] for i in range(15)]
     for start in (0, 5, 10):
         assert sorted(sample["index"] for sample in whole[start : start + 5]) == [0, 1, 2, 3, 4]
     assert [sample["index"] for sample in whole[:5]] != [sample["index"] for sample in whole[5:10]]
-    later = TrainingStream(Noisy(), 15, seed=3, start=7)
-    assert [later[i] for i in range(8)] == whole[7:]
-    other = TrainingStream(Noisy(), 15, seed=4)
+    later = TrainingBatches(stream, batch_size=1, length=8, start=7)
+    assert [stream[i] for (i,) in later] == whole[7:]
+    other = TrainingStream(Noisy(), seed=4)
     assert [other[i]["noise"] for i in range(5)] != [sample["noise"] for sample in whole[:5]]
 
 

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.recipes.datamodules.base import TrainingStream, even_batches
+from sphericalvision.recipes.datamodules.base import TrainingBatches, TrainingStream, even_batches
 from tests.processes import python
 from tests.recipes.tiny import Run
 
@@ -35,18 +35,14 @@ class Numbers(torch.utils.data.Dataset[dict[str, Any]]):
 def test_processes_share_the_training_stream(batch_size: int, world: int) -> None:
     """The batches of a step, one process after the other, are one batch of a single process."""
     steps, start = 4, 7
-    whole = [TrainingStream(Numbers(), 100, 3, start)[i] for i in range(steps * batch_size * world)]
-    streams = [
-        TrainingStream(Numbers(), steps * batch_size, 3, start, batch_size, rank, world)
+    stream = TrainingStream(Numbers(), seed=3)
+    whole = [stream[start * batch_size + i] for i in range(steps * batch_size * world)]
+    shares = [
+        TrainingBatches(stream, batch_size, steps, start=start, rank=rank, world=world)
         for rank in range(world)
     ]
-    shared = [
-        stream[step * batch_size + i]
-        for step in range(steps)
-        for stream in streams
-        for i in range(batch_size)
-    ]
-    assert shared == whole
+    taken = [stream[i] for step in zip(*shares, strict=True) for batch in step for i in batch]
+    assert taken == whole
 
 
 @given(st.integers(1, 40), st.integers(1, 6), st.integers(1, 8))

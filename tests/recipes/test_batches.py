@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Training in batches of samples whose rigs differ."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from itertools import islice
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig, EquirectangularCamera, ring_rig
+from sphericalvision.core import ArgumentError
+from sphericalvision.data import collate_samples
+from sphericalvision.losses import depth_index_huber
+from sphericalvision.models import DepthNetwork, IcoSweepNet, OmniMVS, RefinedSweepNet
+from sphericalvision.models.refinedsweepnet import PRIOR
+from sphericalvision.recipes.datamodules.base import TrainingBatches, TrainingStream
+from sphericalvision.recipes.datamodules.random_rigs import RandomRigDataModule
+from sphericalvision.recipes.training.depth_module import DepthModule
+from sphericalvision.recipes.training.rig_tables import RigTables, stacked_tables
+from tests.worlds import RANDOM_RIGS
+
+SIZE = (24, 48)
+
+
+def refined(train_prior: bool = False) -> RefinedSweepNet:
+    prior = IcoSweepNet(3, 16, num_cameras=2, **PRIOR)
+    return RefinedSweepNet.around(
+        prior, train_prior, level=3, widths=(4, 4), blocks=1, inner_hypotheses=8, num_hypotheses=8
+    )
+
+
+NETWORKS: dict[str, Callable[[], DepthNetwork]] = {
+    "icosweepnet": partial(IcoSweepNet, 3, 4, 0.5, 4, 3, norm="instance", aggregation="variance"),
+    "omnimvs": partial(
+        OmniMVS, 8, 0.5, 2, 3, (8, 16), 3, norm="instance", aggregation="variance", num_scales=2
+    ),
+    "refinedsweepnet": refined,
+    "refinedsweepnet, with its prior": partial(refined, True),
+}
+
+
+def three_rigs() -> list[CameraRig]:
+    """Level and tilted fisheyes, and panoramas."""
+    ring = ring_rig(3, 0.2, SIZE)
+    panoramas = [EquirectangularCamera(SIZE)] * 3
+    return [
+        ring.to(torch.float64),
+        ring_rig(3, 0.1, SIZE).rotated(tilt=0.3).to(torch.float64),
+        CameraRig(panoramas, ring.world_from_camera).to(torch.float64),
+    ]
+
+
+def samples_of(net: DepthNetwork, generator: torch.Generator) -> list[dict[str, Any]]:
+    """Random images of three cameras and random depth, known at more places in one sample than in another."""
+    on_sphere = net.images == "sphere"
+    size = (10 * 4**net.level + 2,) if on_sphere else SIZE
+    images, truth, valid = (
+        ("images", "inverse_depth", "valid")
+        if on_sphere
+        else ("fisheye", "panorama_inverse_depth", "panorama_valid")
+    )
+    grid: Any = net.grid
+    return [
+        {
+            images: 2 * torch.rand(3, 3, *size, generator=generator).double() - 1,
+            truth: torch.rand(grid.shape, generator=generator).double(),
+            valid: torch.rand(grid.shape, generator=generator) < share,
+            "seen" if on_sphere else "fisheye_seen": torch.rand(3, *size, generator=generator) < 0.95,
+            "rig": rig,
+        }
+        for rig, share in zip(three_rigs(), (0.9, 0.5, 0.1), strict=True)
+    ]
+
+
+def module_of(net: DepthNetwork) -> DepthModule:
+    module = DepthModule(net, depth_index_huber, torch.optim.SGD, lambda optimizer: optimizer)
+    module.log = lambda *_, **__: None  # type: ignore[method-assign,assignment]
+    return module
+
+
+def with_fixed_inputs(net: DepthNetwork, sample: dict[str, Any]) -> dict[str, Any]:
+    """A sample with what a loader keeps beside it."""
+    fixed = net.fixed_inputs(sample["images"][None], sample["rig"], sample["seen"][None])
+    return {**sample, "fixed": {key: values[0] for key, values in fixed.items()}}
+
+
+@pytest.mark.parametrize(
+    ("name", "fixed"), [*((name, False) for name in NETWORKS), *((name, True) for name in list(NETWORKS)[2:])]
+)
+def test_loss_and_gradients_of_a_batch_are_the_mean_of_its_samples(
+    name: str, fixed: bool, generator: torch.Generator
+) -> None:
+    torch.manual_seed(0)
+    net = NETWORKS[name]().double().train()
+    module = module_of(net)
+    samples = samples_of(net, generator)
+    if fixed:
+        samples = [with_fixed_inputs(net, sample) for sample in samples]
+    results = []
+    for batches in ([[sample] for sample in samples], [samples]):
+        net.zero_grad()
+        losses = [module.training_step(collate_samples(batch), 0) for batch in batches]
+        loss = torch.stack(losses).mean()
+        loss.backward()
+        gradients = {key: value.grad for key, value in net.named_parameters() if value.grad is not None}
+        results.append((loss.detach(), gradients))
+    (one_by_one, expected), (together, gradients) = results
+    torch.testing.assert_close(together, one_by_one, rtol=1e-9, atol=0)
+    assert set(gradients) == set(expected)
+    for key, gradient in gradients.items():
+        torch.testing.assert_close(gradient, expected[key], rtol=1e-6, atol=1e-9, msg=key)
+
+
+def test_tables_of_a_batch_are_those_of_its_rigs() -> None:
+    net = IcoSweepNet(level=3, num_hypotheses=4, min_depth=0.5, feature_channels=2, num_cameras=3)
+    rigs = [rig.to(torch.float32) for rig in three_rigs()]
+    tables = RigTables(net)
+    batch: Tensor
+    for batch, *singles in zip(tables.of(rigs), *map(net.tables, rigs), strict=True):
+        assert torch.equal(batch, torch.stack(singles))
+    same = [rigs[0], ring_rig(3, 0.2, SIZE)]
+    assert tables.of(CameraRig.stack(same)) is tables.of(same) is tables.of(rigs[0])
+
+
+def test_images_of_two_sizes_are_no_batch() -> None:
+    net = OmniMVS(8, feature_channels=2, num_cameras=2, output_size=(8, 16), num_scales=2)
+    sizes = [net.tables(ring_rig(2, image_size=size)) for size in ((32, 40), (32, 48))]
+    with pytest.raises(ArgumentError, match="one size"):
+        stacked_tables(sizes)
+
+
+class Numbers(torch.utils.data.Dataset[dict[str, Any]]):
+    """Seven samples that are their index."""
+
+    def __len__(self) -> int:
+        return 7
+
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        return {"index": index}
+
+
+@pytest.mark.parametrize("world", [1, 3])
+def test_batches_hold_one_group_and_leave_nothing_out(world: int) -> None:
+    stream = TrainingStream(Numbers(), seed=2)
+
+    def batches(length: int, start: int = 0, rank: int = 0, world: int = 1) -> list[list[int]]:
+        return list(TrainingBatches(stream, 2, length, lambda index: index % 3, start, rank, world))
+
+    whole = batches(60)
+    for batch in whole:
+        assert len({stream.index_at(position) % 3 for position in batch}) == 1
+    positions = [position for batch in whole for position in batch]
+    assert len(set(positions)) == len(positions)
+    # At most one sample of each group waits.
+    assert set(range(len(positions) - 3)) <= set(positions)
+    shares = [batches(10, 6, rank, world) for rank in range(world)]
+    assert [batch for step in zip(*shares, strict=True) for batch in step] == whole[6 : 6 + 10 * world]
+
+
+def test_batches_of_random_rigs_have_as_many_cameras_each() -> None:
+    data = RandomRigDataModule(world=RANDOM_RIGS, image_size=(16, 16), num_train=24, batch_size=3)
+    data.serve(refined())
+    loader = data.train_dataloader()
+    stream, numbers = loader.dataset, set()
+    assert isinstance(stream, TrainingStream)
+    for positions in islice(loader.batch_sampler or (), 6):
+        (number,) = {data.group(stream.index_at(position)) for position in positions}
+        numbers.add(number)
+    assert len(numbers) > 1
+    batch = next(iter(loader))
+    first = next(iter(loader.batch_sampler or ()))
+    assert batch["images"].shape[:2] == (3, data.group(stream.index_at(first[0])))
+    assert data.loader(data.dataset("val")).batch_size == 1

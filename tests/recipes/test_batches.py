@@ -164,7 +164,7 @@ def test_batches_hold_one_group_and_leave_nothing_out(world: int) -> None:
 
 def test_batches_of_random_rigs_have_as_many_cameras_each() -> None:
     data = RandomRigDataModule(world=RANDOM_RIGS, image_size=(16, 16), num_train=24, batch_size=3)
-    data.serve(refined())
+    data.bind_network(refined())
     loader = data.train_dataloader()
     stream, numbers = loader.dataset, set()
     assert isinstance(stream, TrainingStream)

@@ -143,14 +143,14 @@ class Files:
 
     def sizes(self) -> dict[str, tuple[int, int]]:
         """Camera name -> (height, width) of its first image that can be read; the pixels are not."""
-        found: dict[str, tuple[int, int]] = {}
+        sizes: dict[str, tuple[int, int]] = {}
         for name in self.rig.names:
             for files in list(self.files.values())[:3]:
                 with suppress(FileFormatError, OSError):
                     size = read_image_size(files[name] if name in files else files[""])
-                    found[name] = size if name in files else size_of_view(size, self.whole)
+                    sizes[name] = size if name in files else size_of_view(size, self.whole)
                     break
-        return found
+        return sizes
 
     def names(self, selection: Selection) -> list[str]:
         """Names of the frames chosen."""
@@ -220,12 +220,12 @@ def find_capture(
     others = {path.resolve() for path in leave_out}
     if labels is None:
         labels = find_labels(pattern, names, leave_out=leave_out, key=key)
-    found = {name: _files(pattern, labels[name], others) for name in names}
-    counts = ", ".join(f"{name}: {len(files)}" for name, files in found.items())
-    times = _times(found)
-    found, apart = _called_as_first(found, times, tolerance)
-    common = set.intersection(*map(set, found.values()))
-    lacking = set().union(*found.values()) - common
+    by_camera = {name: _files(pattern, labels[name], others) for name in names}
+    counts = ", ".join(f"{name}: {len(files)}" for name, files in by_camera.items())
+    times = _times(by_camera)
+    by_camera, apart = _called_as_first(by_camera, times, tolerance)
+    common = set.intersection(*map(set, by_camera.values()))
+    lacking = set().union(*by_camera.values()) - common
     if common and apart:
         warnings.warn(
             f"{key}: images of one frame have names that differ, by {1000 * apart:.3g} ms at most; they count as taken "
@@ -237,7 +237,7 @@ def find_capture(
         if not chosen:
             raise MissingFileError(
                 f"{key}: no frame of {pattern!r} is there for every camera ({counts} files)"
-                + _distance(found, times, tolerance)
+                + _distance(by_camera, times, tolerance)
             )
         if lacking:
             warnings.warn(
@@ -248,13 +248,13 @@ def find_capture(
     else:
         chosen = requested
     for frame in chosen:
-        for name, files in found.items():
+        for name, files in by_camera.items():
             if frame not in files:
                 raise MissingFileError(
                     f"{key}: {_path(pattern, labels[name], frame)}: no such file, frame {frame} of camera {name}; its "
                     f"first frames are {', '.join(sorted(files, key=_natural)[:4])}. Correct frames=... or the pattern."
                 )
-    return {frame: {name: found[name][frame] for name in names} for frame in chosen}
+    return {frame: {name: by_camera[name][frame] for name in names} for frame in chosen}
 
 
 def _times(files: Mapping[str, Mapping[str, Path]]) -> dict[str, float]:
@@ -351,16 +351,16 @@ def find_labels(
     partly = [way for way in ways if are_there.issuperset(way[name] for name in used)]
     is_named = bool(partly) and partly[0] is ways[0]  # names are explicit
     if not is_named and any(way[name] != partly[0][name] for way in partly for name in used):
-        told = "; or ".join(", ".join(f"{name} is {way[name]}" for name in used) for way in partly)
+        readings = "; or ".join(", ".join(f"{name} is {way[name]}" for name in used) for way in partly)
         raise ArgumentError(
             f"{key}: {pattern!r} has files of some cameras of the rig alone, and {{camera}} may stand for several "
-            f"things: {told}. Call the files as the cameras are, or remove the other cameras from the calibration"
+            f"things: {readings}. Call the files as the cameras are, or remove the other cameras from the calibration"
         )
     if not partly:
-        tried = ", ".join(f"{way[names[0]]}..{way[names[-1]]}" for way in ways)
+        ranges = ", ".join(f"{way[names[0]]}..{way[names[-1]]}" for way in ways)
         raise MissingFileError(
             f"{key}: no files of all {len(used)} cameras match {pattern!r} (looked in {Path.cwd()}). {{camera}} was "
-            f"tried as {tried}; the pattern must reach a file for each camera of the rig: {', '.join(used)}."
+            f"tried as {ranges}; the pattern must reach a file for each camera of the rig: {', '.join(used)}."
         )
     return {name: partly[0][name] for name in used}
 

@@ -130,9 +130,9 @@ def _of_folder(
 ) -> Source:
     """The first layout for which there are files of every camera."""
     files = (file for file in (*folder.glob("*"), *folder.glob("*/*")) if not file.name.startswith("."))
-    there = sorted({file.suffix for file in files if file.is_file()})
+    suffixes = sorted({file.suffix for file in files if file.is_file()})
     excluded = list(leave_out)
-    for suffix in there:
+    for suffix in suffixes:
         if suffix.lower() in VIDEO_SUFFIXES:
             alone = [file for file in folder.glob(f"[!.]*{suffix}") if file.is_file()]
             stems = [stem for stem in STEMS if "{frame}" not in stem]
@@ -153,14 +153,14 @@ def _of_folder(
                     continue
     raise MissingFileError(
         f"images: {folder} holds no images or videos of all {len(rig)} cameras ({', '.join(rig.names)}); tried "
-        f"{', '.join(STEMS)} with the suffixes {', '.join(there) or '(no files)'}. Give a pattern, "
+        f"{', '.join(STEMS)} with the suffixes {', '.join(suffixes) or '(no files)'}. Give a pattern, "
         f"images='{folder}/cam{{camera}}/{{frame}}.png'"
     )
 
 
 def _devices(images: str, rig: CameraRig) -> dict[str, Path | int]:
-    found = re.fullmatch(r"live:(\d+(?:,\d+)*)", images)
-    numbers = [int(number) for number in found[1].split(",")] if found else []
+    match = re.fullmatch(r"live:(\d+(?:,\d+)*)", images)
+    numbers = [int(number) for number in match[1].split(",")] if match else []
     if len(numbers) == 1 < len(rig):
         return {"": numbers[0]}
     if len(numbers) != len(rig):

@@ -126,9 +126,9 @@ def _counted(
     samples = max(2, math.ceil(_PER_WIDTH * min(ratio, 64.0)))
     samples = max(samples, min(fineness * samples, math.isqrt(_MOST_SAMPLES // len(areas))))
     cells = cell_samples(grid, samples, torch.float64, turn.device)
-    found = other.nearest(cells.directions @ turn)  # the transpose, on rows
-    own = torch.arange(len(areas), device=turn.device)[:, None].expand_as(found)
-    return own.flatten(), found.flatten(), (cells.shares * areas[:, None]).flatten()
+    others = other.nearest(cells.directions @ turn)  # the transpose, on rows
+    own = torch.arange(len(areas), device=turn.device)[:, None].expand_as(others)
+    return own.flatten(), others.flatten(), (cells.shares * areas[:, None]).flatten()
 
 
 def _balanced(

@@ -220,11 +220,11 @@ class RefinedSweepNet(DepthNetwork):
         seen = check_seen(tables.sweep.seen if seen is None else seen, images)
         clues = self.clues(images, tables, seen)
         fused = self.fuse(clues, images, seen, tables.offsets)
-        index, confidence, sky, both = self.refine(fused, images, seen, tables.offsets)
+        index, confidence, sky, seen_by_two = self.refine(fused, images, seen, tables.offsets)
         # Nothing there: as far as can be. What is there is not: an index of nearly 0 is a depth of kilometres.
         index = index.clamp(min=FARTHEST).masked_fill(sky >= 0, 0.0)
         scale = (self.num_hypotheses - 1) / (self.inner_hypotheses - 1)
-        return DepthEstimate(index * scale, confidence.sigmoid().masked_fill(~both, 0.0), both)
+        return DepthEstimate(index * scale, confidence.sigmoid().masked_fill(~seen_by_two, 0.0), seen_by_two)
 
     def clues(
         self,
@@ -301,15 +301,15 @@ class RefinedSweepNet(DepthNetwork):
         with torch.no_grad():
             seen = check_seen(tables.sweep.seen if seen is None else seen, images)
             cost, best, mean, cameras = self._geometry(images, tables.sweep, seen)
-            kept = {
+            fixed = {
                 "cost": _bytes(cost / COST_RANGE),
                 "best": _bytes(best),
                 "mean": _bytes((mean + 1) / 2),
                 "cameras": cameras.to(torch.uint8),
             }
             if not self._prior_learns:
-                kept["prior"] = self._prior(images, tables.prior, seen).half()
-        return kept
+                fixed["prior"] = self._prior(images, tables.prior, seen).half()
+        return fixed
 
     def training_loss(
         self,
@@ -346,19 +346,19 @@ class RefinedSweepNet(DepthNetwork):
         true = (target * scale).clamp(0, self.inner_hypotheses - 1)
         ids = ids_of_coarser_level(self.level, self.level - 1, true.device)
         coarse, coarse_valid = true[:, ids], valid[:, ids]
-        known = torch.where(clues.cameras.amax(1) >= 2, 1.0, 0.25) * coarse_valid
-        both = torch.where(refined.seen, 1.0, 0.25) * valid
+        coarse_weights = torch.where(clues.cameras.amax(1) >= 2, 1.0, 0.25) * coarse_valid
+        weights = torch.where(refined.seen, 1.0, 0.25) * valid
         entropy = _cross_entropy(fused.logits, coarse)
         sure = 1 - (refined.index.detach() - true).abs().clamp(max=DOUBTFUL) / DOUBTFUL
         doubt = F.binary_cross_entropy_with_logits(refined.confidence, sure, reduction="none")
         sky = (target <= 0) & valid
         rarity = (RARE_SKY / sky.float().mean(-1, keepdim=True).clamp(min=1e-6)).clamp(1, MOST)
-        found = F.binary_cross_entropy_with_logits(refined.sky, sky.to(sure), reduction="none")
-        doubt += found * torch.where(sky, rarity, 1.0)
+        sky_loss = F.binary_cross_entropy_with_logits(refined.sky, sky.to(sure), reduction="none")
+        doubt += sky_loss * torch.where(sky, rarity, 1.0)
         return (
-            loss(refined.index, true, valid, weights=both)
-            + 0.4 * loss(two_modes(fused.logits)[0], coarse, coarse_valid, weights=known)
-            + 0.05 * mean_of_samples(entropy, known)
+            loss(refined.index, true, valid, weights=weights)
+            + 0.4 * loss(two_modes(fused.logits)[0], coarse, coarse_valid, weights=coarse_weights)
+            + 0.05 * mean_of_samples(entropy, coarse_weights)
             + 0.1 * mean_of_samples(doubt, valid)
         )
 

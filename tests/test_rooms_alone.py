@@ -27,7 +27,7 @@ ROOMS = {
     "sphericalvision.crown.conv": (("crown", "icosphere", "geometry"), 60),
     "sphericalvision.crown.hexconv": (("crown", "icosphere", "geometry"), 60),
     "sphericalvision.sphere.grids.healpix": (("sphere", "geometry"), 30),
-    "sphericalvision.losses.depth": (("losses", "sphere", "icosphere", "geometry"), 40),
+    "sphericalvision.losses.depth_loss": (("losses", "sphere", "icosphere", "geometry"), 40),
     "sphericalvision.sweep.regression": (("sweep",), 10),
     "sphericalvision.sweep.aggregation": (("sweep", "cameras", "icosphere", "geometry", "extensions"), 50),
     "sphericalvision.models.icosweepnet": (

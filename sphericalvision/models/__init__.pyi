@@ -1,6 +1,6 @@
 from . import weights as weights
-from .base import DepthNetwork as DepthNetwork
 from .classifier import SphereClassifier as SphereClassifier
+from .depth_network import DepthNetwork as DepthNetwork
 from .icosweepnet import IcoSweepNet as IcoSweepNet
 from .omnimvs import OmniMVS as OmniMVS
 from .refinedsweepnet import RefinedSweepNet as RefinedSweepNet

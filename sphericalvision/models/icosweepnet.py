@@ -30,7 +30,7 @@ from sphericalvision.crown.layout import crown_map
 from sphericalvision.crown.recompute import RecomputedModule, forget_inside
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.icosphere.topology import check_level
-from sphericalvision.models.base import DepthNetwork
+from sphericalvision.models.depth_network import DepthNetwork
 from sphericalvision.models.weights.registry import register_network
 from sphericalvision.sweep import (
     Aggregation,

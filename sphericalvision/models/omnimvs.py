@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, short_repr
-from sphericalvision.models.base import DepthNetwork
+from sphericalvision.models.depth_network import DepthNetwork
 from sphericalvision.models.omnimvs_parts import CostHourglass, FisheyeFeatures, Transference
 from sphericalvision.models.weights.registry import register_network
 from sphericalvision.sweep import (

@@ -14,14 +14,14 @@ from torch import Tensor
 from sphericalvision.core import ArgumentError, constant_table
 from sphericalvision.icosphere import Icosphere, icosphere_upsample, icosphere_vertices
 from sphericalvision.icosphere.topology import check_level
-from sphericalvision.losses.depth import mean_of_samples
-from sphericalvision.models.base import DepthNetwork
+from sphericalvision.losses.depth_loss import mean_of_samples
 from sphericalvision.models.candidate_refinement import (
     CandidateRefinement,
     RefinedIndex,
     candidates_of,
     with_sky,
 )
+from sphericalvision.models.depth_network import DepthNetwork
 from sphericalvision.models.icosweepnet import IcoSweepNet
 from sphericalvision.models.logit_fusion import FusedLogits, LogitFusion, SweepClues, two_modes
 from sphericalvision.models.weights.registry import register_network

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.models.base import DepthNetwork
+from sphericalvision.models.depth_network import DepthNetwork
 from sphericalvision.models.omnimvs_parts import FisheyeFeatures, ImageConv
 from sphericalvision.models.weights.registry import register_network
 from sphericalvision.sphere import Equirectangular

@@ -14,7 +14,7 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.icosphere.topology import check_level
-from sphericalvision.models.base import DepthNetwork
+from sphericalvision.models.depth_network import DepthNetwork
 from sphericalvision.models.weights.registry import register_network
 from sphericalvision.sweep import (
     DepthEstimate,

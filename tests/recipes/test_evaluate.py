@@ -19,7 +19,7 @@ from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparatio
 from sphericalvision.data import SampleView, ToSphere, collate_samples
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep, WinnerTakesAll
-from sphericalvision.models.base import DepthEstimate
+from sphericalvision.models.depth_network import DepthEstimate
 from sphericalvision.recipes.evaluation.frames import BatchFrames
 from sphericalvision.recipes.evaluation.loop import VertexErrors, evaluate, mean_errors_by_method
 from sphericalvision.recipes.evaluation.methods import AsUsed, Method, Scale, photographs_of

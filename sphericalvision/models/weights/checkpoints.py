@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 
 from sphericalvision.core import ArgumentError, FileFormatError, check_file
-from sphericalvision.models.base import DepthNetwork
+from sphericalvision.models.depth_network import DepthNetwork
 from sphericalvision.models.weights.files import load_weights
 from sphericalvision.models.weights.filling import make_network
 from sphericalvision.models.weights.pretrained import STUDY, available_weights, pretrained

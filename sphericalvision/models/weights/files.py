@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, FileFormatError, check_choice, check_file
 from sphericalvision.io.files import atomic_write
-from sphericalvision.models.base import DepthNetwork
+from sphericalvision.models.depth_network import DepthNetwork
 from sphericalvision.models.weights.filling import make_network
 from sphericalvision.models.weights.registry import network_class, network_name
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from sphericalvision.core import MissingFileError, check_choice
-from sphericalvision.models.base import DepthNetwork
+from sphericalvision.models.depth_network import DepthNetwork
 from sphericalvision.models.weights.files import load_weights
 
 __all__ = ["STUDY", "available_weights", "pretrained"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.extensions import Registry
-from sphericalvision.models.base import DepthNetwork
+from sphericalvision.models.depth_network import DepthNetwork
 
 __all__ = ["ENTRY_POINTS", "network_class", "network_name", "network_names", "register_network"]
 

@@ -31,7 +31,7 @@ class SpeedKeys(TypedDict, total=False):
     """Keys of ``conf/speed.yaml``."""
 
     output: Text
-    groups: Annotated[list[str], MinLen(1)]
+    groups: Annotated[list[str], MinLen(1)] | None
     only: Text | None
     seconds: Positive
     threads: Count | None
@@ -60,6 +60,7 @@ GROUPS = {
     "data": "data",
     "fps": "predict",
     "presets": "predict",
+    "gpu": "gpu",
 }
 """Group -> the module of this folder that has a function of its name, of the configuration and the device; that
 yields the comparisons, each made when its turn comes."""
@@ -71,7 +72,7 @@ def measure_speed(config: Annotated[DictConfig, SpeedKeys], folder: Path) -> lis
     Raises:
         ArgumentError: there is no such group or device, or nothing of that title.
     """
-    for group in config.groups:
+    for group in config.groups or ():
         check_choice("groups", group, tuple(GROUPS))
     try:
         pattern = re.compile(config.only or "")
@@ -86,7 +87,7 @@ def measure_speed(config: Annotated[DictConfig, SpeedKeys], folder: Path) -> lis
         console.print(f"{key}: {value}", highlight=False)
     rows: list[Measurement] = []
     titles: list[str] = []
-    for group in config.groups:
+    for group in config.groups or (["network"] if device.type == "cpu" else ["gpu"]):
         module = import_module(f"sphericalvision.recipes.speed.{GROUPS[group]}")
         for comparison in getattr(module, group)(config, device):
             if not pattern.search(comparison.title):

@@ -96,5 +96,5 @@ def _amount(value: float, unit: str) -> str:
         ('12.3 ms', '2.50 s', '1234 MB')
     """
     if unit != "s":
-        return f"{value:.0f} {unit}"
+        return f"{value:.0f} {unit}" if value >= 10 else f"{value:.3g} {unit}"
     return f"{value * 1e3:.3g} ms" if value < 1 else f"{value:.3g} s" if value >= 10 else f"{value:.2f} s"

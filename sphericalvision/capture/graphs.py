@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import threading
 import warnings
+import weakref
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -19,7 +20,8 @@ MOST_GRAPHS = 4
 """Of a function: each holds the memory of its inputs and results."""
 _turns = threading.RLock()
 """One replay at a time: all graphs of a device share their memory."""
-_pools: dict[torch.device, Any] = {}
+_latest: weakref.WeakValueDictionary[torch.device, torch.cuda.CUDAGraph] = weakref.WeakValueDictionary()
+"""The graph of each device that was captured last: the next one shares its memory, if it is still there."""
 _idle: dict[torch.device, Any] = {}
 """Events: the device has done with the results of the last replay, whichever graph and stream it was of."""
 
@@ -115,7 +117,7 @@ class GraphedFunction:
         except (
             RuntimeError
         ) as error:  # of whatever cannot be recorded; ending the capture may fail for it, too
-            _pools.pop(inputs[0].device, None)  # it may be left in the middle of the capture
+            _latest.pop(inputs[0].device, None)  # its memory may be left in the middle of the capture
             self._warn(str(error.__context__ or error).strip().partition("\n")[0])
             return None
 
@@ -142,11 +144,13 @@ def captured(function: Callable[..., Any], inputs: tuple[Tensor, ...], options: 
         with torch.cuda.stream(stream), NoWaiting():
             function(*static, **options)
         torch.cuda.current_stream().wait_stream(stream)
-        pool = _pools.setdefault(device, torch.cuda.graph_pool_handle())
+        earlier = _latest.get(device)  # memory of graphs that are all gone cannot be taken again
+        pool = None if earlier is None else earlier.pool()
         graph = torch.cuda.CUDAGraph()
         # Other threads may go on with what they do on the device.
         with torch.cuda.graph(graph, pool=pool, capture_error_mode="thread_local"):
             outputs = function(*static, **options)
+        _latest[device] = graph
         return _Graph(static, graph.replay, outputs, _idle.setdefault(device, torch.cuda.Event()))
 
 

@@ -64,7 +64,7 @@ def mean_by_id(values: Float[Tensor, "*batch P"], tables: MeansById) -> Float[Te
     if not len(tables.more):
         return usual
     more = (_look_up(values, tables.more) * tables.more_shares.to(values.dtype)).sum(-1)
-    return usual.index_copy(-1, tables.others, more)
+    return usual.index_copy(-1, tables.others, more.to(usual.dtype))  # autocast sums in float32
 
 
 def _look_up(values: Tensor, places: Tensor) -> Tensor:

@@ -110,6 +110,14 @@ def test_smoothing_is_opencvs() -> None:
     assert bilateral(frames[..., :3, :], deviation).isfinite().all()  # smaller than the window
 
 
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="the kernel is for CUDA devices")
+@pytest.mark.parametrize("channels", [1, 3])
+def test_the_kernel_is_the_filter(channels: int) -> None:
+    images = torch.rand(2, channels, 37, 53)
+    deviation = torch.tensor([0.1, 0.0])
+    torch.testing.assert_close(bilateral(images.cuda(), deviation.cuda()).cpu(), bilateral(images, deviation))
+
+
 def test_elimination_solves() -> None:
     generator = torch.Generator().manual_seed(0)
     factor = torch.randn(3, 20, 20, dtype=torch.float64, generator=generator)

@@ -18,6 +18,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.recipes.commands.predict import PredictConfig
 from sphericalvision.recipes.speed import cameras as bench_cameras
 from sphericalvision.recipes.speed import data as bench_data
+from sphericalvision.recipes.speed import gpu as bench_gpu
 from sphericalvision.recipes.speed import network as bench_network
 from sphericalvision.recipes.speed import predict as bench_predict
 from sphericalvision.recipes.speed.command import measure_speed
@@ -44,6 +45,28 @@ STAGES = {
     "memory that inference adds",
     "memory that training adds",
 }
+
+
+@pytest.mark.slow
+def test_figures_of_a_gpu_are_made_on_any_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bench_gpu, "SHIPPED", {"default": "refinedsweepnet-fast"})
+    monkeypatch.setattr(bench_gpu, "BATCHES", (1, 2))
+    small = config("groups=[gpu]", "image_sides=[64]", "device=cpu")
+    rows = measure_speed(small, tmp_path)
+    titles = list(dict.fromkeys(row.title for row in rows))
+    assert titles[0].startswith("the index on the device")
+    assert [row.name for row in rows if row.title == titles[0]] == list(bench_gpu.PRECISIONS)
+    assert rows[0].median == 0  # one device with itself
+    assert all(0 <= row.median < 0.02 for row in rows if row.title == titles[0])
+    for part in (
+        "forward pass of 1",
+        "forward pass of 2",
+        "Predictor: a call",
+        "memory",
+        "training step",
+        "rendered",
+    ):
+        assert any(part in title for title in titles), part
 
 
 def test_tables_hold_every_stage(tmp_path: Path) -> None:

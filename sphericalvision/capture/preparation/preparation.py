@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
+from importlib.util import find_spec
 from typing import NamedTuple
 
 import cv2
@@ -37,6 +38,8 @@ __all__ = [
     "noise_of",
 ]
 
+HAS_TRITON = find_spec("triton") is not None
+"""As with torch for CUDA on Linux."""
 LEAST_LIGHT = 0.05
 """Share of the light: cameras that differ by less are taken to be alike."""
 SURE = 2.0
@@ -178,8 +181,10 @@ class Compensator:
         So are scenes at night, and pictures of 10 or 12 bits that are stored in 16.
         """
         values = torch.cat([_spread(image) for image in images.values()], 1)
-        # Not by `quantile`, which sorts: that took longer than anything else that is done to images.
-        bright = values.kthvalue(math.ceil(BRIGHT_SHARE * values.shape[1])).values.double()
+        # A CPU selects faster than it sorts; on a CUDA device selecting took a sixth of a frame, and sorting is free.
+        place = math.ceil(BRIGHT_SHARE * values.shape[1])
+        ordered = values.sort().values[:, place - 1] if values.is_cuda else values.kthvalue(place).values
+        bright = ordered.double()
         dark = (bright > BLACK) & (bright < DARK)
         gains = (BRIGHT / bright).where(dark, 1.0)
         if not needed(dark):
@@ -313,8 +318,14 @@ def bilateral(image: Float[Tensor, "b c h w"], deviation: Float[Tensor, " b"]) -
     radius = WINDOW // 2
     height, width = image.shape[-2:]
     mode = "reflect" if min(height, width) > radius else "replicate"
-    padded = F.pad(image, (radius,) * 4, mode=mode)
-    steepness = (-0.5 / deviation.square()).where(deviation > 0, 0.0).to(image.dtype).view(-1, 1, 1, 1)
+    steepness = (-0.5 / deviation.square()).where(deviation > 0, 0.0).to(image.dtype)
+    if image.is_cuda and HAS_TRITON and image.dtype == torch.float32 and mode == "reflect":
+        from sphericalvision.capture.preparation.bilateral_triton import (
+            bilateral_kernel,  # Triton is not everywhere
+        )
+
+        return bilateral_kernel(image, steepness, radius, REACH)
+    padded, steepness = F.pad(image, (radius,) * 4, mode=mode), steepness.view(-1, 1, 1, 1)
     weights = torch.zeros_like(image[:, :1])
     total = torch.zeros_like(image)
     for down in range(-radius, radius + 1):

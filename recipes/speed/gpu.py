@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Any
+from typing import Any, Literal, get_args
 
 import torch
 from omegaconf import DictConfig
@@ -22,7 +22,8 @@ from sphericalvision.scenes import make_scene, render_rig
 __all__ = ["gpu"]
 
 SHIPPED = {"default": "refinedsweepnet", "level 5": "refinedsweepnet-fast", "level 7": "refinedsweepnet-fine"}
-PRECISIONS = ("float32", "bfloat16", "float16")
+Precision = Literal["float32", "bfloat16", "float16"]
+PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 BATCHES = (1, 16)
 LARGEST = 800
 """Height and width of the images."""
@@ -42,7 +43,9 @@ def gpu(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     ring = ring_rig(4).to(device)
     level, number = config.settings[-1]
     paper = IcoSweepNet(level, number, feature_channels=config.feature_channels)
-    networks = {title: partial(pretrained, name) for title, name in SHIPPED.items()}
+    networks: dict[str, Callable[[], DepthNetwork]] = {
+        title: partial(pretrained, name) for title, name in SHIPPED.items()
+    }
     networks |= {f"IcoSweepNet {level}/{number}": lambda: paper}
     for batch in BATCHES:
         for title, network in networks.items():
@@ -64,13 +67,13 @@ def gpu(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
             "",
             "MB",
         )
-    for title, network, batch in (
+    for title, trained, batch in (
         (f"IcoSweepNet {level}/{number // 2}", IcoSweepNet(level, number // 2), 1),
         ("default", pretrained(SHIPPED["default"]), BATCHES[-1]),
     ):
         yield Comparison(
             f"{title}: a training step of {batch}, without the optimiser",
-            _steps(network, ring, batch, device),
+            _steps(trained, ring, batch, device),
         )
     small = ring_rig(4, image_size=(256, 256))
     yield Comparison(
@@ -85,12 +88,12 @@ def gpu(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
 def _parity(rig: CameraRig, images: dict[str, Tensor], device: torch.device) -> dict[str, Run]:
     """How far the index on the device is from the CPU's, in the mean over what is seen."""
 
-    def difference(options: dict[str, Any], precision: str) -> float:
+    def difference(options: dict[str, Any], precision: Precision) -> float:
         expected = Predictor(rig, min_depth=0.55, **options)(images)
         depth = Predictor(rig, min_depth=0.55, device=device, precision=precision, **options)(images)
         return float((depth.index.cpu() - expected.index)[expected.seen].abs().mean())
 
-    runs = {precision: partial(difference, {}, precision) for precision in PRECISIONS}
+    runs: dict[str, Run] = {precision: partial(difference, {}, precision) for precision in PRECISIONS}
     return runs | {
         f"{name}, float32": partial(difference, {"level": int(name[-1])}, "float32")
         for name in list(SHIPPED)[1:]

@@ -207,8 +207,8 @@ class Trajectory:
         only where none is left over; rows, which no file states, only of images that are counted from 0, too.
         """
         if not (are_counts(images) and are_counts([_whole(name) for name in self.names])):
-            places = {name: place for place, name in enumerate(self.names)}
-            return {image: places[image] for image in images if image in places}
+            named = {name: place for place, name in enumerate(self.names)}
+            return {image: named[image] for image in images if image in named}
         places = {int(_whole(name)): place for place, name in enumerate(self.names)}
         numbers = {image: int(image) for image in images}
         matches = {image: places[number] for image, number in numbers.items() if number in places}

@@ -18,10 +18,10 @@ BLOCK = 256
 """Pixels of a program."""
 
 
-@triton.jit
-def _kernel(
+@triton.jit  # type: ignore[no-untyped-def, unused-ignore]
+def _kernel(  # type: ignore[no-untyped-def]
     image, result, steepness, nearness, height, width, C: tl.constexpr, R: tl.constexpr, BLOCK: tl.constexpr
-):  # type: ignore[no-untyped-def]
+):
     pixels = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     frame = tl.program_id(1)
     plane = height * width

@@ -25,7 +25,7 @@ from sphericalvision.capture.calibrating.refine import (
     refine_rig,
 )
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.geometry import angle_from_axis, invert_transform
+from sphericalvision.geometry import angle_from_axis, invert_transform, transform_points
 
 __all__ = ["calibrate_camera", "calibrate_rig"]
 
@@ -33,6 +33,10 @@ _WRONG = 4.5
 """Times the median distance from the pixel at which a corner is none: one of 700,000 with noise alone."""
 _REACH = 1.05
 """Times the largest angle from the axis of any point seen: where a lens ends."""
+_AGREES = 0.2
+"""Times the distance between poses as they are, below which they agree once an object is counted from its other end."""
+_APART, _PIXELS = 5.0, 3.0
+"""Times the error of a camera alone, and pixels, above which it contradicts the others."""
 
 
 def calibrate_camera(
@@ -106,7 +110,9 @@ def calibrate_rig(
     Each camera alone by ``calibrate_camera``; then, along the pairs that saw the object together most often, the poses
     from where both say that it stood; then everything together by ``refine_rig``, twice: points that miss by more than
     4.5 times the median are left out the second time. The world is the first camera. What lies more than 5 % beyond the
-    outermost point that was seen counts as out of view: nothing is known of the lens there.
+    outermost point that was seen counts as out of view: nothing is known of the lens there. A board that looks the same
+    upside down, with inner corners that are even or odd both ways, may be counted from its other end by some cameras:
+    they are told by their poses.
 
     Args:
         points: (m, 3) in the object's frame, metres; z = 0 for a board.
@@ -119,7 +125,8 @@ def calibrate_rig(
         projection: of ``FisheyeCamera``, as in ``convert``.
 
     Raises:
-        ArgumentError: a camera has no view with enough points, or no view ties it to the first camera.
+        ArgumentError: a camera has no view with enough points, no view ties it to the first camera, or it contradicts
+            the others.
         ShapeError: the shapes do not fit.
 
     Examples:
@@ -144,7 +151,7 @@ def calibrate_rig(
         raise ShapeError(f"pixels: expected (n, {len(names)}, m, 2), got {tuple(pixels.shape)}")
     seen = torch.ones(pixels.shape[:-1], dtype=torch.bool) if seen is None else seen
     counts = seen.sum(-1)
-    alone = {}
+    alone, errors = {}, []
     for place, (name, size) in enumerate(image_sizes.items()):
         views = (counts[:, place] >= FEWEST).nonzero().flatten()
         if not len(views):
@@ -163,7 +170,12 @@ def calibrate_rig(
             calibration.camera,
             dict(zip(views.tolist(), calibration.camera_from_points, strict=True)),
         )
-    rig = CameraRig({name: camera for name, (camera, _) in alone.items()}, _poses(names, alone))
+        errors.append(calibration.rms_error)
+    half_turn = _half_turn(points)
+    poses = _poses(names, alone, half_turn)
+    turned = _turned(poses, alone, half_turn)
+    pixels, seen = _renumbered(pixels, turned), _renumbered(seen, turned)
+    rig = CameraRig({name: camera for name, (camera, _) in alone.items()}, poses)
     free = sorted({name for camera in rig.cameras.values() for name in refinable_intrinsics(camera)})
     refined = refine_rig(rig, points, pixels, seen, intrinsics=free)
     misses = refined.residuals.norm(dim=-1)
@@ -171,11 +183,14 @@ def calibrate_rig(
     wrong = misses > max(_WRONG * typical, 1e-6)
     if bool(wrong.any()):
         refined = refine_rig(refined.rig, points, pixels, seen & ~wrong, intrinsics=free)
+    _check_agreement(names, refined, seen, errors)
     cameras = {
         name: camera.with_max_angle(min(_REACH * _farthest(refined, place, pixels), float(camera.max_angle)))
         for place, (name, camera) in enumerate(refined.rig.cameras.items())
     }
-    return refined._replace(rig=refined.rig.replaced(cameras))
+    return refined._replace(
+        rig=refined.rig.replaced(cameras), residuals=_renumbered(refined.residuals, turned)
+    )
 
 
 def _farthest(refined: RefinedRig, place: int, pixels: Tensor) -> float:
@@ -185,9 +200,72 @@ def _farthest(refined: RefinedRig, place: int, pixels: Tensor) -> float:
     return float(angle_from_axis(rays).max())
 
 
-def _poses(names: list[str], alone: Mapping[str, tuple[Camera, dict[int, Tensor]]]) -> Tensor:
+def _half_turn(points: Tensor) -> Tensor | None:
+    """The motion (4, 4) of a flat object that takes each point to the one as far from the other end; None without."""
+    motion = torch.diag(torch.tensor([-1.0, -1.0, 1.0, 1.0], dtype=torch.float64))
+    points = points.detach().to("cpu", torch.float64)
+    motion[:2, 3] = 2 * points.mean(0)[:2]
+    apart = (transform_points(motion, points) - points.flip(0)).abs().max()
+    return motion if apart < 1e-6 * (points - points[0]).abs().max() else None
+
+
+def _turned(
+    poses: Tensor, alone: Mapping[str, tuple[Camera, dict[int, Tensor]]], half_turn: Tensor | None
+) -> list[tuple[int, int]]:
+    """Views and cameras that count the object from the other end than the first camera that sees it then."""
+    if half_turn is None:
+        return []
+    turned, first = [], dict[int, Tensor]()
+    for place, (_, views) in enumerate(alone.values()):
+        for view, pose in views.items():
+            stood = poses[place] @ pose
+            reference = first.setdefault(view, stood)
+            if (stood @ half_turn - reference).norm() < _AGREES * (stood - reference).norm():
+                turned.append((view, place))
+    return turned
+
+
+def _renumbered(values: Tensor, turned: list[tuple[int, int]]) -> Tensor:
+    """Values (n, cameras, m, ...) with the points of these views and cameras counted from the other end."""
+    values = values.clone()
+    for view, place in turned:
+        values[view, place] = values[view, place].flip(0)
+    return values
+
+
+def _check_agreement(names: list[str], refined: RefinedRig, seen: Tensor, errors: Sequence[float]) -> None:
+    """Refuse a rig of cameras each of which explains its own pictures, and not those that it shares.
+
+    Raises:
+        ArgumentError: it names the camera.
+    """
+    used = refined.residuals.abs().sum(-1) > 0
+    for place, (name, alone) in enumerate(zip(names, errors, strict=True)):
+        count, enough = int(used[:, place].sum()), seen[:, place].sum(-1, keepdim=True) >= FEWEST
+        total = int((seen[:, place] & enough).sum())
+        together = float((refined.residuals[:, place].square().sum() / max(count, 1)).sqrt())
+        if together > max(_APART * alone, _PIXELS) or 2 * count < total:
+            raise ArgumentError(
+                f"pixels: {name} contradicts the other cameras: alone its views fit to {alone:.2f} px, together to "
+                f"{together:.2f} px, with {total - count} of {total} points left out. Are all views of one moment, and "
+                "each point the same one in all cameras? A board that looks the same upside down, or turned by 90°, is "
+                "counted from another corner: take one with an even and an odd number of inner corners, or with markers"
+            )
+
+
+def _poses(
+    names: list[str], alone: Mapping[str, tuple[Camera, dict[int, Tensor]]], half_turn: Tensor | None
+) -> Tensor:
     """World from camera (n, 4, 4), the first being the world: along pairs with most views of the object in common."""
-    poses = {names[0]: torch.eye(4, dtype=torch.float64)}
+    same = torch.eye(4, dtype=torch.float64)
+
+    def relative(one: str, other: str, views: list[int], motion: Tensor = same) -> Tensor:
+        """By each view, one camera from the other: the object of the other moved in its frame."""
+        return torch.stack(
+            [alone[one][1][view] @ motion @ invert_transform(alone[other][1][view]) for view in views]
+        )
+
+    poses = {names[0]: same}
     while len(poses) < len(names):
         pairs = [(reference, other) for reference in poses for other in names if other not in poses]
         shared = {pair: sorted(alone[pair[0]][1].keys() & alone[pair[1]][1].keys()) for pair in pairs}
@@ -198,15 +276,18 @@ def _poses(names: list[str], alone: Mapping[str, tuple[Camera, dict[int, Tensor]
                 f"{', '.join(name for name in names if name not in poses)}, so nothing ties them together; hold a "
                 "board where the edges of both images show a part of it at the same moment"
             )
-        transforms = torch.stack(
-            [
-                alone[reference][1][view] @ invert_transform(alone[other][1][view])
-                for view in shared[reference, other]
-            ]
-        )
+        views = shared[reference, other]
+        transforms = relative(reference, other, views)
         # The one that the others agree with.
         apart = torch.cdist(transforms.flatten(1), transforms.flatten(1)).sum(-1)
-        poses[other] = poses[reference] @ transforms[apart.argmin()]
+        best = transforms[apart.argmin()]
+        if half_turn is not None:
+            both = torch.stack((transforms, relative(reference, other, views, half_turn)))
+            candidates = both.flatten(0, 1)
+            turned_apart = torch.cdist(candidates.flatten(1), both.flatten(2)).amin(0).sum(-1)
+            if turned_apart.min() < _AGREES * apart.min():
+                best = candidates[turned_apart.argmin()]
+        poses[other] = poses[reference] @ best
     return torch.stack([poses[name] for name in names])
 
 

@@ -22,7 +22,7 @@ from sphericalvision.models import DepthNetwork, SemiGlobalSweep, WinnerTakesAll
 from sphericalvision.models.depth_network import DepthEstimate
 from sphericalvision.recipes.evaluation.frames import BatchFrames
 from sphericalvision.recipes.evaluation.loop import VertexErrors, evaluate, mean_errors_by_method
-from sphericalvision.recipes.evaluation.methods import AsUsed, Method, Scale, photographs_of
+from sphericalvision.recipes.evaluation.methods import Answer, AsUsed, Method, Scale, photographs_of
 from sphericalvision.recipes.evaluation.records import Record
 from tests.recipes.tiny import TINY_SCENES, Run
 from tests.worlds import scenes as world_scenes
@@ -137,6 +137,19 @@ def test_errors_of_confident_points_say_how_many_they_are(frames: dict[str, Any]
     assert 20 < errors["0.6"]["kept"] < 80
     alone = mean_errors_by_method(evaluate([everything], BatchFrames(frames), measure))
     assert "kept" not in alone["0.0"]
+
+
+def test_errors_count_where_the_truth_does_and_the_method_says_something() -> None:
+    """Numbers by hand: of three points with a truth two are said, one of them off by one hypothesis of eight."""
+    depth = DepthEstimate(
+        torch.tensor([[1.0, 2, 3, 7]]), torch.tensor([[1.0, 0.5, 0.4, 1]]), torch.ones(1, 4) > 0
+    )
+    answer = Answer(Constant(), depth, min_confidence=0.5)
+    answer._look_up = lambda values, directions: (values, torch.ones(4) > 0)  # type: ignore[method-assign]
+    truth = torch.tensor([[1.0, 3, 0, 2]]), torch.tensor([[True, True, True, False]])
+    errors = VertexErrors(Scale(8, 0.5), 1).errors(answer, truth)
+    assert float(errors["points"]["kept"]) == pytest.approx(100 * 2 / 3)
+    assert float(errors["errors"]["MAE"]) == pytest.approx(100 * 0.5 / 8)
 
 
 def test_frames_that_are_recorded_are_not_asked_for_again(frames: dict[str, Any], tmp_path: Path) -> None:

@@ -64,6 +64,8 @@ def test_every_output_is_what_it_says(tmp_path: Path) -> None:
     }
     assert all(path.is_file() for path in outputs.written)
     assert not torch.equal(read_image(tmp_path / "7_depth.png"), read_image(tmp_path / "7_confidence.png"))
+    assert outputs.fused is not None
+    assert outputs.fused.side == 0.1
     expected = depth.points(0.25, voxel=0.1)
     cloud = trimesh.load(tmp_path / "7_points.ply")
     np.testing.assert_allclose(cloud.vertices, expected.points, atol=1e-6)

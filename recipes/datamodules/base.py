@@ -215,6 +215,11 @@ class SampleDataModule(pl.LightningDataModule):
         """Test batches, in order; with several processes each gets its part."""
         return self.part_of_process(self.dataset("test"))
 
+    def transfer_batch_to_device(self, batch: Sample, device: torch.device, dataloader_idx: int) -> Sample:
+        """Move all of a batch but its rigs: their tables are made on the device, and known by numbers on the host."""
+        rest = {name: values for name, values in batch.items() if name != "rig"}
+        return {**batch, **super().transfer_batch_to_device(rest, device, dataloader_idx)}
+
     def rank_and_world(self) -> tuple[int, int]:
         """Number of this process and of all."""
         return (self.trainer.global_rank, self.trainer.world_size) if self.trainer else (0, 1)

@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
+from sphericalvision.core import check_choice
 from sphericalvision.metrics import DepthIndexError
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.checkpoints import initialize
@@ -40,6 +41,11 @@ class DepthModule(TrainingModule):
         mode: "min" or "max", its best direction.
         recompute: train in less memory for a third more work; the results are the same.
         seed: of each training step, with its number.
+        compile: backend by which ``torch.compile`` makes one program of the loss, which takes minutes for each new
+            number of cameras; none when not given.
+
+    Raises:
+        ArgumentError: ``torch.compile`` has no such backend.
     """
 
     metric_names = METRICS
@@ -57,22 +63,22 @@ class DepthModule(TrainingModule):
         mode: str = "min",
         recompute: bool = False,
         seed: int = 0,
+        compile: str | None = None,
     ) -> None:
         super().__init__(net, loss, optimizer, scheduler, monitor, mode, seed)
         if self.learns_all:
             net.requires_grad_(True)
         net.configure(recompute=recompute)
         self.tables = RigTables(net)
+        self.training_loss = net.training_loss
+        if compile is not None:
+            check_choice("task.compile", compile, torch.compiler.list_backends(exclude_tags=()))
+            self.training_loss = torch.compile(net.training_loss, backend=compile)
         self.validation_metric = DepthIndexError(net.num_hypotheses)
 
     def initialize(self, weights: str | Path) -> None:
         """Start from the parameters of another network; see ``checkpoints.initialize``."""
         initialize(self.net, weights)
-
-    def transfer_batch_to_device(self, batch: dict[str, Any], device: torch.device, number: int) -> Any:
-        """Move all of a batch but its rigs: their tables are made on the device, and known by numbers on the host."""
-        rest = {name: values for name, values in batch.items() if name != "rig"}
-        return {**super().transfer_batch_to_device(rest, device, number), "rig": batch["rig"]}
 
     def forward(self, images: Tensor, rig: Any, seen: Tensor | None = None) -> Tensor:
         """Hypothesis index of images seen by ``rig``, on the network's grid."""
@@ -99,7 +105,7 @@ class DepthModule(TrainingModule):
         images, seen = images_of(batch, self.net)
         fixed = batch.get("fixed")
         tables = self.tables.of(batch["rig"], bool(fixed))
-        loss: Tensor = self.net.training_loss(images, tables, seen, *self.target(batch), self.loss, fixed)
+        loss: Tensor = self.training_loss(images, tables, seen, *self.target(batch), self.loss, fixed)
         self.log("train/loss", loss, prog_bar=True, batch_size=len(images))
         return loss
 

@@ -77,8 +77,10 @@ def samples_of(net: DepthNetwork, generator: torch.Generator) -> list[dict[str, 
     ]
 
 
-def module_of(net: DepthNetwork) -> DepthModule:
-    module = DepthModule(net, depth_index_huber, torch.optim.SGD, lambda optimizer: optimizer)
+def module_of(net: DepthNetwork, compile: str | None = None) -> DepthModule:
+    module = DepthModule(
+        net, depth_index_huber, torch.optim.SGD, lambda optimizer: optimizer, compile=compile
+    )
     module.log = lambda *_, **__: None  # type: ignore[method-assign,assignment]
     return module
 
@@ -114,6 +116,73 @@ def test_loss_and_gradients_of_a_batch_are_the_mean_of_its_samples(
     assert set(gradients) == set(expected)
     for key, gradient in gradients.items():
         torch.testing.assert_close(gradient, expected[key], rtol=1e-6, atol=1e-9, msg=key)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "omnimvs",
+        pytest.param("icosweepnet", marks=pytest.mark.slow),
+        pytest.param("refinedsweepnet", marks=pytest.mark.slow),
+    ],
+)
+def test_a_compiled_step_is_one_graph_and_the_same(name: str, generator: torch.Generator) -> None:
+    torch.manual_seed(0)
+    net = NETWORKS[name]().double().train()
+    batch = collate_samples(samples_of(net, generator))
+    results = []
+    torch._dynamo.reset()
+    torch._dynamo.utils.counters.clear()
+    for backend in (None, "aot_eager"):
+        net.zero_grad()
+        loss = module_of(net, backend).training_step(batch, 0)
+        loss.backward()
+        results.append([loss, *(value.grad for value in net.parameters() if value.grad is not None)])
+    for one, other in zip(*results, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-6, atol=1e-6)
+    assert torch._dynamo.utils.counters["stats"]["unique_graphs"] == 1
+    assert not torch._dynamo.utils.counters["graph_break"]
+
+
+def test_a_backend_that_torch_lacks_is_refused() -> None:
+    with pytest.raises(ArgumentError, match=r"task\.compile.*inductor"):
+        module_of(refined(), "faster")
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_bfloat16_is_of_layers_alone(name: str, generator: torch.Generator) -> None:
+    """Tables are made in full precision within a step, and the loss is that of full precision but for rounding."""
+    torch.manual_seed(0)
+    net = NETWORKS[name]().train()
+    samples = samples_of(net, generator)
+    batch = collate_samples(
+        [
+            {
+                key: value.to(torch.float32)
+                if isinstance(value, CameraRig) or value.is_floating_point()
+                else value
+                for key, value in sample.items()
+            }
+            for sample in samples
+        ]
+    )
+    expected = module_of(net).training_step(batch, 0)
+    module = module_of(net)
+    with torch.autocast("cpu", torch.bfloat16):
+        loss = module.training_step(batch, 0)
+        rounded = module.tables.of(batch["rig"])
+    assert loss.dtype == torch.float32
+    torch.testing.assert_close(loss, expected, rtol=0.02, atol=0)
+    assert tensors(rounded)
+    for one, other in zip(tensors(rounded), tensors(RigTables(net).of(batch["rig"])), strict=True):
+        assert torch.equal(one, other)
+
+
+def tensors(tables: Any) -> list[Tensor]:
+    """All tensors in tuples of tuples."""
+    if isinstance(tables, tuple):
+        return [tensor for part in tables for tensor in tensors(part)]
+    return [tables] if isinstance(tables, Tensor) else []
 
 
 def test_tables_of_a_batch_are_those_of_its_rigs() -> None:

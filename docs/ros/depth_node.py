@@ -13,6 +13,7 @@ from typing import Any
 import message_filters
 import numpy as np
 import rclpy
+import torch
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image, PointCloud2, PointField
@@ -20,6 +21,7 @@ from std_msgs.msg import Header
 
 from sphericalvision import Predictor
 from sphericalvision.cameras import read_rig
+from sphericalvision.cameras.robot_frame import OPTICAL_FROM_ROS, placed, read_pose
 from sphericalvision.capture import Depth
 
 CHANNELS = {"mono8": 1, "rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4}
@@ -30,7 +32,8 @@ class DepthNode(Node):
     """Subscribes to ``<camera>/image_raw`` of every camera of the calibration; publishes ``depth`` and ``points``.
 
     Depth is a panorama (32FC1, metres, NaN where fewer than two cameras look). Points and depth are in the frame
-    ``frame_id``: x right, y down, z forward, as ROS has it for optical frames, at the rig of the calibration.
+    ``frame_id``: x right, y down, z forward, as ROS has it for optical frames, at the rig of the calibration. With
+    ``frame``, a file with the calibration's pose in ``base_link``, points are there: x forward, y left, z up.
     """
 
     def __init__(self) -> None:
@@ -43,8 +46,13 @@ class DepthNode(Node):
         tolerance = self.declare_parameter("tolerance", 0.02).value  # seconds between images of one moment
         self.rows = self.declare_parameter("rows", 160).value  # of the panorama
         self.min_confidence = self.declare_parameter("min_confidence", 0.5).value  # of points
-        self.frame_id = self.declare_parameter("frame_id", "rig").value
+        frame = self.declare_parameter("frame", "").value
+        self.frame_id = self.declare_parameter("frame_id", "base_link" if frame else "rig").value
         rig = read_rig(calibration)
+        self.axes = torch.eye(3)
+        if frame:
+            rig = placed(rig, OPTICAL_FROM_ROS @ read_pose(frame, "frame"))
+            self.axes = OPTICAL_FROM_ROS[:3, :3].mT
         self.names = rig.names
         self.predictor = Predictor(rig, level=level, min_depth=near or "auto")
         self.depth = self.create_publisher(Image, "depth", 1)
@@ -63,7 +71,7 @@ class DepthNode(Node):
         depth = self.predictor(images)
         header = Header(stamp=messages[0].header.stamp, frame_id=self.frame_id)
         self.depth.publish(depth_message(depth, self.rows, header))
-        self.points.publish(cloud_message(depth, self.min_confidence, header))
+        self.points.publish(cloud_message(depth, self.min_confidence, header, self.axes))
 
 
 def pixels(message: Any) -> np.ndarray:
@@ -93,12 +101,13 @@ def depth_message(depth: Depth, rows: int, header: Any) -> Image:
     )
 
 
-def cloud_message(depth: Depth, min_confidence: float, header: Any) -> PointCloud2:
-    """Coloured points; a colour is three bytes in a float, as RViz wants it."""
+def cloud_message(depth: Depth, min_confidence: float, header: Any, axes: torch.Tensor) -> PointCloud2:
+    """Coloured points, turned by ``axes`` ``(3, 3)``; a colour is three bytes in a float, as RViz wants it."""
     cloud = depth.points(min_confidence)
+    points = cloud.points.cpu() @ axes.mT
     red, green, blue = (255 * cloud.colors.clamp(0, 1)).round().int().cpu().numpy().T
     packed = (red << 16 | green << 8 | blue).astype("<u4").view("<f4")
-    values = np.concatenate((cloud.points.cpu().numpy().astype("<f4"), packed[:, None]), 1)
+    values = np.concatenate((points.numpy().astype("<f4"), packed[:, None]), 1)
     fields = [
         PointField(name=name, offset=4 * place, datatype=PointField.FLOAT32, count=1)
         for place, name in enumerate(FIELDS)

@@ -16,6 +16,8 @@ from pydantic.dataclasses import dataclass
 from torch import Tensor
 
 from sphericalvision.cameras import Camera, CameraRig, EquirectangularCamera, read_trajectory
+from sphericalvision.cameras.robot_frame import OPTICAL_FROM_ROS, read_pose
+from sphericalvision.cameras.trajectory import upright_turn
 from sphericalvision.capture import find_own_body
 from sphericalvision.capture.preparation.own_body import MOST
 from sphericalvision.capture.sources.frames import Selection, Source
@@ -129,13 +131,45 @@ class PosedCapture(Capture):
         poses: file of a trajectory.
         window: images of each camera in a window.
         spacing: metres that camera or rig goes between images of a window; None takes every image.
-        up: what points up in the world of the poses.
+        up: what points up in the world of the calibration, or of the poses; None is ``"-y"``, with ``frame`` ``"z"``.
+        frame: file with a robot's frame from the calibration's, whose axes are ROS's: x forward, y left, z up.
     """
 
     poses: Text | None = None
     window: Annotated[int, Ge(2), OnlyWith("poses")] = 3
     spacing: Annotated[Positive | None, OnlyWith("poses")] = None
-    up: Annotated[Literal["-y", "y", "z", "camera"], OnlyWith("poses")] = "-y"
+    up: Literal["-y", "y", "z", "camera"] | None = None
+    frame: Text | None = None
+
+    @property
+    def upwards(self) -> str:
+        """What points up, ``up`` or what goes without saying.
+
+        Raises:
+            ArgumentError: a robot's frame has another up.
+        """
+        expected = ("z", "y", "-y") if self.poses else ("z",)
+        if self.frame and self.up not in (None, *expected):
+            raise ArgumentError(
+                f"up: with frame, whose z points up, expected {' or '.join(expected)}, got {self.up}; leave it out"
+            )
+        return self.up or ("z" if self.frame else "-y")
+
+    def placement(self, rig: CameraRig) -> Tensor:
+        """``(4, 4)``, from the frame of the calibration to that in which its rig is used: upright, or the poses'."""
+        base = torch.eye(4) if self.frame is None else read_pose(self.frame, "frame")
+        if self.poses is not None:
+            return base
+        turn = OPTICAL_FROM_ROS if self.frame else upright_turn(self.upwards, rig.world_from_camera)
+        return turn.to(base) @ base
+
+    @property
+    def axes(self) -> Tensor | None:
+        """``(3, 3)``, from where depth is computed to axes of a robot's frame, or of its world; None without one."""
+        if self.frame is None:
+            return None
+        turn = OPTICAL_FROM_ROS if self.poses is None else upright_turn(self.upwards, torch.eye(4)[None])
+        return turn[:3, :3].mT
 
     def open(self) -> Source:
         """The frames; with poses those of windows, where ``calibration`` may be ``PANORAMA``.
@@ -145,7 +179,7 @@ class PosedCapture(Capture):
         """
         if self.poses is None:
             return super().open()
-        trajectory = read_trajectory(self.poses).turned(self.up)
+        trajectory = read_trajectory(self.poses).turned(self.upwards)
         cameras: dict[str, Camera] = {NAME: EquirectangularCamera((512, 1024))}
         if self.calibration != PANORAMA:
             cameras = self.camera_models()

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping
 from contextlib import closing
@@ -10,15 +11,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import torch
 import yaml
 from annotated_types import Ge
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic.dataclasses import dataclass
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, read_rig, save_rig
 from sphericalvision.cameras.fingerprint import rig_fingerprint
+from sphericalvision.cameras.robot_frame import placed, tilt_of
 from sphericalvision.capture import Predictor, align_rig
 from sphericalvision.capture.estimating import Behind, Estimate, estimate_frames
 from sphericalvision.capture.folder_record import RECORD, checksum
@@ -69,6 +73,8 @@ ENOUGH = 0.9
 ANEW = "give another output=, or leave skip_existing out to make all frames anew"
 ALIGNED = "aligned.yaml"
 """Beside the results: the calibration with cameras turned."""
+LYING = math.radians(45)
+"""Between the cameras' mean down and the world's, from which on it is said."""
 FREE = (
     *("frames", "start", "stop", "every", "outputs", "output"),
     *("skip_existing", "on_error", "device"),
@@ -107,6 +113,22 @@ def open_frames(config: PredictConfig) -> Source:
     return source
 
 
+def _say_if_lying(rig: CameraRig, capture: PosedCapture) -> None:
+    """Print a warning where the cameras' mean down is far from the world's, in which panoramas lie on their side."""
+    tilt = tilt_of(rig)
+    if tilt is None or tilt < LYING:
+        return
+    what = (
+        f"frame={capture.frame} should place the rig in axes x forward, y left, z up"
+        if capture.frame
+        else "up=z (robots, IMUs) or up=y, if that points up there; up=camera takes what is up in the images"
+    )
+    print(
+        f"Warning: the cameras' mean down is {math.degrees(tilt):.0f}° from the world's down, with "
+        f"up={capture.upwards}. If it is not so, pictures lie on their side and depth is worse: {what}."
+    )
+
+
 def nearest(
     predictor: Predictor, source: Source, config: PredictConfig, before: Mapping[str, Any]
 ) -> PredictConfig:
@@ -123,16 +145,25 @@ def nearest(
     return config
 
 
-def aligned(predictor: Predictor, source: Source, folder: Path, goes_on: bool) -> Predictor:
+def aligned(
+    predictor: Predictor, source: Source, folder: Path, goes_on: bool, placement: Tensor
+) -> Predictor:
     """The predictor with cameras turned where three frames say so; the calibration goes to ``aligned.yaml``.
 
     Whoever goes on with a prediction takes what is there.
+
+    Args:
+        predictor: of the rig.
+        source: of its frames.
+        folder: of the results.
+        goes_on: whether there are results already.
+        placement: ``(4, 4)``, from the frame of the calibration to that of the rig.
     """
     kept = folder / ALIGNED
     if goes_on:
         if not kept.is_file():
             return predictor
-        turned = read_rig(kept)
+        turned = placed(read_rig(kept), placement)
         source.rig = source.rig.replaced(world_from_camera=turned.world_from_camera, origin=turned.origin)
         return predictor.with_changes(source.rig)
     if not predictor.preparation.align:
@@ -145,7 +176,7 @@ def aligned(predictor: Predictor, source: Source, folder: Path, goes_on: bool) -
         return predictor
     source.rig = verdict.rig.to("cpu")
     folder.mkdir(parents=True, exist_ok=True)
-    save_rig(source.rig, kept)
+    save_rig(placed(source.rig, torch.linalg.inv(placement)), kept)
     return predictor.with_changes(source.rig)
 
 
@@ -159,6 +190,9 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
     still = source.source if isinstance(source, Moving) else source  # whose frames are made ready once
     if config.capture.masks == AUTO:
         still.rig = masked_by_itself(still, folder)
+    placement = config.capture.placement(still.rig)
+    still.rig = placed(still.rig, placement)
+    _say_if_lying(source.rig, config.capture)
     before = _settings_before(folder) if config.skip_existing else {}
     basis = _basis(config, source.rig)
     predictor = predictor_for(source.rig, config)
@@ -168,9 +202,9 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
             predictor = predictor.with_changes(min_depth=config.min_depth)
     _check_settings(config, before, folder)
     if still is source:
-        predictor = aligned(predictor, source, folder, bool(before))
+        predictor = aligned(predictor, source, folder, bool(before), placement)
     elif predictor.preparation.judges(still.rig):
-        aligned(predictor.with_changes(still.rig), still, folder, bool(before))
+        aligned(predictor.with_changes(still.rig), still, folder, bool(before), placement)
         predictor = predictor.with_changes(source.rig)
     if not before:  # what it states is of other settings than those that come now
         (folder / RECORD).unlink(missing_ok=True)
@@ -198,6 +232,7 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
         config.near,
         bool(before),
         {**basis, "network": identity_of(predictor.network) if config.method == "network" else None},
+        config.capture.axes,
     )
     outputs = Outputs(folder, settings)
     if (folder / ALIGNED).is_file():

@@ -17,7 +17,7 @@ from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, check_choice, full_precision
 from sphericalvision.io.times import SAME_TIME, are_counts, nearest_in_time, seconds
 
-__all__ = ["UPS", "Trajectory"]
+__all__ = ["UPS", "Trajectory", "upright_turn"]
 
 UPS = ("-y", "y", "z", "camera")
 """What may point up in a file of poses."""
@@ -149,13 +149,8 @@ class Trajectory:
             >>> Trajectory(["0"], pose).turned("z").positions  # 3 m high, now -y
             tensor([[ 1., -3.,  2.]])
         """
-        check_choice("up", up, UPS)
-        poses = self.world_from_camera
-        axes = {"-y": [0.0, -1.0, 0.0], "y": [0.0, 1.0, 0.0], "z": [0.0, 0.0, 1.0]}
-        upwards = -poses[:, :3, 1].mean(0) if up == "camera" else poses.new_tensor(axes[up])
-        turn = torch.eye(4).to(poses)
-        turn[:3, :3] = _shortest_turn(torch.nn.functional.normalize(upwards, dim=0))
-        return replace(self, world_from_camera=turn @ poses)
+        turn = upright_turn(up, self.world_from_camera)
+        return replace(self, world_from_camera=turn @ self.world_from_camera)
 
     def of_images(self, images: Sequence[str], times: Sequence[float] | None = None) -> Trajectory:
         """Return the poses of images, called as the images are; images without a pose are left out.
@@ -214,6 +209,21 @@ class Trajectory:
         matches = {image: places[number] for image, number in numbers.items() if number in places}
         is_whole = len(matches) == min(len(images), len(self))
         return matches if is_whole and (0 in numbers.values() or not self.names_are_rows) else {}
+
+
+def upright_turn(up: str, poses: Float[Tensor, "n 4 4"]) -> Float[Tensor, "4 4"]:
+    """The rotation ``(4, 4)`` by the smallest angle into a world whose y points down.
+
+    Args:
+        up: what points up now, as ``Trajectory.turned`` has it.
+        poses: ``(n, 4, 4)`` of cameras, whose mean says what is up for ``"camera"``.
+    """
+    check_choice("up", up, UPS)
+    axes = {"-y": [0.0, -1.0, 0.0], "y": [0.0, 1.0, 0.0], "z": [0.0, 0.0, 1.0]}
+    upwards = -poses[:, :3, 1].mean(0) if up == "camera" else poses.new_tensor(axes[up])
+    turn = torch.eye(4).to(poses)
+    turn[:3, :3] = _shortest_turn(torch.nn.functional.normalize(upwards, dim=0))
+    return turn
 
 
 def _whole(name: str) -> str:

@@ -86,6 +86,7 @@ class Settings(NamedTuple):
         near: metres, the red end of depth pictures; found in the first frame when not given.
         go_on: whether video, table of consistency and fused cloud begin with the frames that are there.
         basis: what results depend on beside settings, for ``FolderRecord``.
+        axes: ``(3, 3)`` that turns what ``.ply`` files hold into a robot's axes.
     """
 
     outputs: Sequence[str]
@@ -96,6 +97,7 @@ class Settings(NamedTuple):
     near: float | None = None
     go_on: bool = False
     basis: Mapping[str, str | None] = {}
+    axes: Tensor | None = None
 
 
 class Panoramas:
@@ -165,7 +167,9 @@ def save_frame(folder: Path, prefix: str, panoramas: Panoramas, settings: Settin
         origin = panoramas.depth.rig.origin.cpu()
         if origin.any():
             cloud = cloud._replace(points=cloud.points.cpu().double() + origin)
-        written += _save_clouds([folder / f"{prefix}{FILES[kind]}" for kind in clouds], cloud, origin)
+        written += _save_clouds(
+            [folder / f"{prefix}{FILES[kind]}" for kind in clouds], cloud, origin, settings.axes
+        )
     if "viewer" in settings.outputs:
         title = f"depth all around {prefix.rstrip('_')}".strip()
         path = save_viewer(
@@ -180,16 +184,20 @@ def save_frame(folder: Path, prefix: str, panoramas: Panoramas, settings: Settin
     return written
 
 
-def _save_clouds(paths: Sequence[Path], cloud: SurfacePoints, origin: Tensor) -> list[Path]:
+def _save_clouds(
+    paths: Sequence[Path], cloud: SurfacePoints, origin: Tensor, axes: Tensor | None = None
+) -> list[Path]:
     """Write a cloud by the suffixes of the paths, and return them; without points nothing is written."""
     written = []
     for path in paths if len(cloud.points) else ():
-        points = cloud.points
+        points, normals = cloud.points, cloud.normals
         if path.suffix == ".glb":
             # It has y up and looks along -z, which viewers of it rely on, and holds float32, from the origin.
             points = (points - origin).float() if origin.any() else points
             points = points * points.new_tensor([1, -1, -1])
-        written.append(save_point_cloud(path, points, cloud.colors, cloud.normals))
+        elif axes is not None:
+            points, normals = points @ axes.to(points).mT, normals @ axes.to(normals).mT
+        written.append(save_point_cloud(path, points, cloud.colors, normals))
     return written
 
 
@@ -397,7 +405,10 @@ class Outputs:
         if self.fused is not None:
             self.fused.save(self.folder / FUSED)
             self.written += _save_clouds(
-                [self.folder / "fused.ply", self.folder / "fused.glb"], self.fused.points(), self.fused.origin
+                [self.folder / "fused.ply", self.folder / "fused.glb"],
+                self.fused.points(),
+                self.fused.origin,
+                self.settings.axes,
             )
 
     def _write_shares(self) -> None:

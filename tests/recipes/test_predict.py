@@ -19,6 +19,8 @@ from omegaconf import OmegaConf
 import sphericalvision.capture.predictor
 import sphericalvision.io.images
 from sphericalvision.cameras import ring_rig, save_rig
+from sphericalvision.cameras.robot_frame import OPTICAL_FROM_ROS, placed
+from sphericalvision.cameras.trajectory import upright_turn
 from sphericalvision.capture.outputs import read_shares
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image, write_image
@@ -71,6 +73,54 @@ def test_depth_of_a_capture_without_a_network(run: Run, capture: Path, weights: 
     run("predict", *words(capture, weights, "net"), "frames=[3]")
     with np.load(tmp_path / "net/00003_depth.npz") as arrays:
         assert finer == 4 * arrays["index"].shape[0] - 6  # one level more
+
+
+def test_a_world_whose_z_is_up_and_a_robots_frame(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A rig whose calibration lies on its side has the depth of the upright one, and points where a robot has them."""
+    rig, folder = make_ring(3, radius=0.2, image_size=(48, 48)), tmp_path / "c"
+    scene = make_scene("room", seed=3)
+    write_capture(folder, rig, render_rig(scene, rig, 2), file="{camera}/1.png")
+    lying = placed(rig, torch.linalg.inv(upright_turn("z", rig.world_from_camera)))
+    save_rig(lying, folder / "z_up.yaml")
+    base_from_rig = torch.eye(4)
+    base_from_rig[:3, :3] = OPTICAL_FROM_ROS[:3, :3].T
+    base_from_rig[:3, 3] = torch.tensor([0.3, 0.0, 1.2])
+    base_from_lying = base_from_rig @ upright_turn("z", rig.world_from_camera)
+    np.savetxt(tmp_path / "base.txt", base_from_lying[:3].reshape(1, 12))
+    outputs = {
+        "clean": ("calibration=c/rig.yaml",),
+        "sideways": ("calibration=c/z_up.yaml",),
+        "upright": ("calibration=c/z_up.yaml", "up=z"),
+        "robot": ("calibration=c/z_up.yaml", "frame=base.txt"),
+    }
+    said, results = {}, {}
+    for name, words in outputs.items():
+        run(
+            "predict",
+            *(
+                f"calibration={tmp_path}/{words[0][12:]}",
+                *(w.replace("=base", f"={tmp_path}/base") for w in words[1:]),
+            ),
+            *(f"images={folder}", f"output={name}", "method=semi_global", "level=4", "num_hypotheses=8"),
+            *("align=false", "height=16", "device=cpu", "outputs=[npz,cloud,fused]"),
+        )
+        said[name] = " ".join(capsys.readouterr().out.split())
+        (npz,) = (tmp_path / name).glob("*depth.npz")
+        (ply,) = (tmp_path / name).glob("*points.ply")
+        results[name] = (
+            np.load(npz),
+            trimesh.load(ply).vertices,
+            trimesh.load(tmp_path / name / "fused.ply").vertices,
+        )
+    assert "mean down is 90° from the world's down" in said["sideways"]
+    assert not any("mean down" in said[name] for name in ("clean", "upright", "robot"))
+    for name in ("upright", "robot"):
+        np.testing.assert_allclose(results[name][0]["index"], results["clean"][0]["index"], atol=1e-2)
+    in_base = trimesh.transform_points(results["clean"][1], base_from_rig.numpy())
+    np.testing.assert_allclose(results["robot"][1], in_base, atol=1e-2)
+    assert abs(np.median(results["robot"][2], 0) - np.median(in_base, 0)).max() < 0.3
 
 
 def test_every_frame_gets_picture_points_and_arrays(

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import glob
+import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -19,6 +20,7 @@ from sphericalvision.cameras import Camera, CameraRig, EquirectangularCamera, re
 from sphericalvision.cameras.robot_frame import OPTICAL_FROM_ROS, read_pose
 from sphericalvision.cameras.trajectory import upright_turn
 from sphericalvision.capture import find_own_body
+from sphericalvision.capture.preparation.dark_surround import without_dark_surround
 from sphericalvision.capture.preparation.own_body import MOST
 from sphericalvision.capture.sources.frames import Selection, Source
 from sphericalvision.capture.sources.moving import NAME, Moving
@@ -36,7 +38,15 @@ from sphericalvision.recipes.app.kinds import STRICT, Count, Names, Number, Only
 from sphericalvision.recipes.app.rigs import Calibration, keys_named
 from sphericalvision.sphere.intake import as_photographs
 
-__all__ = ["AUTO", "Capture", "PosedCapture", "masked_by_itself", "with_own_body_masked"]
+__all__ = [
+    "AUTO",
+    "Capture",
+    "PosedCapture",
+    "cut_to_visible",
+    "masked_by_itself",
+    "visible_part",
+    "with_own_body_masked",
+]
 
 AUTO = "auto"
 """In place of a pattern of masks: those of the rig's own body, found in the frames."""
@@ -227,6 +237,29 @@ def masked_by_itself(source: Source, folder: Path) -> CameraRig:
     rig = with_own_body_masked(source.rig, images)
     for name, mask in rig.masks.items():
         write_mask(folder / "masks" / f"{name}.png", mask)
+    return rig
+
+
+def cut_to_visible(source: Source, max_angle_deg: float | None) -> None:
+    """Let fields of view end where the images of a source are dark beyond, in up to three frames, and print so.
+
+    Args:
+        source: a recording; live cameras stay as they are.
+        max_angle_deg: of the calibration's keys; where it is given it counts.
+    """
+    if max_angle_deg is None and not source.live:
+        frames = (as_photographs(f.images, source.rig) for f in source.samples() if f.images is not None)
+        source.rig = visible_part(source.rig, frames)
+
+
+def visible_part(rig: CameraRig, frames: Iterable[Mapping[str, Tensor]]) -> CameraRig:
+    """The rig whose fields of view end where frames are dark beyond; a line for each camera is printed."""
+    rig, angles = without_dark_surround(rig, frames)
+    for name, angle in angles.items():
+        print(
+            f"Field of view: {name} is dark beyond {math.degrees(angle):.0f}° from its axis in all frames compared, "
+            "and ends there; max_angle_deg= overrides this."
+        )
     return rig
 
 

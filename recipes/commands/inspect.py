@@ -16,10 +16,11 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig, coverage, field_of_view, overlap
 from sphericalvision.cameras.field_of_view import focal_length_on_axis
 from sphericalvision.capture.sources.frames import find_capture, find_labels, read_frame
-from sphericalvision.capture.sources.opening import rig_with_masks
+from sphericalvision.capture.sources.opening import rig_with_masks, spread_evenly
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.files import part_of_name
 from sphericalvision.io.images import write_image
+from sphericalvision.recipes.app.captures import visible_part
 from sphericalvision.recipes.app.cli import console, print_table
 from sphericalvision.recipes.app.kinds import STRICT, Distance, Names, Number, OnlyWith, Text
 from sphericalvision.recipes.app.rigs import Calibration
@@ -128,6 +129,9 @@ def inspect(config: InspectConfig, folder: Path) -> list[Path]:
         frames = None if config.frame is None else [config.frame]
         files = find_capture(config.images, cameras, frames, labels=labels)
         images = read_frame(next(iter(files.values())), rig)
+        if config.file.max_angle_deg is None:
+            chosen = spread_evenly(list(files), 3)
+            rig = visible_part(rig, [images, *(read_frame(files[frame], rig) for frame in chosen[1:])])
     print_cameras(rig, str(config.file.calibration))
     if known:
         print_poses(rig, config)

@@ -32,7 +32,7 @@ from sphericalvision.capture.sources.frames import Selection, Source
 from sphericalvision.capture.sources.moving import Moving
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.models.weights.checkpoints import weights_for
-from sphericalvision.recipes.app.captures import AUTO, PosedCapture, masked_by_itself
+from sphericalvision.recipes.app.captures import AUTO, PosedCapture, cut_to_visible, masked_by_itself
 from sphericalvision.recipes.app.checks import flat
 from sphericalvision.recipes.app.cli import choose_device, console, print_config, say
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, OnlyWith, Positive, Share, Text
@@ -195,6 +195,7 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
     _say_if_lying(source.rig, config.capture)
     before = _settings_before(folder) if config.skip_existing else {}
     basis = _basis(config, source.rig)
+    cut_to_visible(still, config.capture.max_angle_deg)
     predictor = predictor_for(source.rig, config)
     if predictor.min_depth is None:
         config = nearest(predictor, source, config, before)

@@ -123,6 +123,29 @@ def test_a_world_whose_z_is_up_and_a_robots_frame(
     assert abs(np.median(results["robot"][2], 0) - np.median(in_base, 0)).max() < 0.3
 
 
+def test_a_field_of_view_that_the_calibration_does_not_tell_is_that_of_the_images(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig, folder = ring_rig(3, 0.2, (64, 64), math.radians(190)), tmp_path / "c"
+    write_capture(folder, rig, render_rig(make_scene("room", seed=3), rig, 2), file="{camera}/1.png")
+    cameras = {name: camera.with_max_angle(math.radians(130)) for name, camera in rig.cameras.items()}
+    save_rig(rig.replaced(cameras), folder / "wide.yaml")
+    results = {}
+    for name, words in {"rig": (), "wide": (), "told": ("max_angle_deg=95",)}.items():
+        file = "rig" if name == "rig" else "wide"
+        run(
+            "predict",
+            *(f"calibration={folder}/{file}.yaml", f"images={folder}", f"output={name}", *words),
+            *("method=semi_global", "level=4", "num_hypotheses=8", "align=false", "height=16", "device=cpu"),
+        )
+        assert ("cam1 is dark beyond 95°" in " ".join(capsys.readouterr().out.split())) == (name == "wide")
+        results[name] = np.load(next((tmp_path / name).glob("*.npz")))["index"]
+    np.testing.assert_allclose(results["wide"], results["rig"], atol=1e-2)
+    np.testing.assert_allclose(results["told"], results["rig"], atol=1e-2)
+    run("inspect", f"calibration={folder}/wide.yaml", f"images={folder}/{{camera}}/{{frame}}.png", "level=3")
+    assert "cam3 is dark beyond 95°" in " ".join(capsys.readouterr().out.split())
+
+
 def test_every_frame_gets_picture_points_and_arrays(
     run: Run, capture: Path, weights: Path, tmp_path: Path
 ) -> None:

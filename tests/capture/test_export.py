@@ -24,8 +24,9 @@ from sphericalvision.capture.export import (
 from sphericalvision.capture.preparation.preparation import AS_IT_IS
 from sphericalvision.core import ArgumentError, kernels
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.models import DepthNetwork, IcoSweepNet, RefinedSweepNet
+from sphericalvision.models import DepthNetwork, IcoSweepNet, OmniMVS, RefinedSweepNet
 from sphericalvision.scenes import make_scene, render_rig
+from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import DepthEstimate
 
 RIG = ring_rig(3, image_size=(24, 30))
@@ -58,6 +59,23 @@ def test_a_program_is_its_predictor() -> None:
         wide = RigProgram(one, height=8)(stacked)
         torch.testing.assert_close(wide[0][0].reciprocal(), panorama.depth, rtol=1e-4, atol=1e-4)
         assert torch.equal(wide[2][0], panorama.seen)
+
+
+def test_beyond_the_band_of_a_network_a_panorama_has_no_depth() -> None:
+    """OmniMVS has no poles: what is above and below is NaN, and not seen, whatever the nearest row says."""
+    net = OmniMVS(8, feature_channels=2, num_cameras=3, output_size=(32, 128), in_channels=3, num_scales=2)
+    one = Predictor(RIG, net.eval(), min_depth=0.5, preparation=AS_IT_IS)
+    stacked = torch.stack(list(render_rig(make_scene("room", seed=1), RIG).values()))[None]
+    with torch.inference_mode():
+        inverse_depth, _, seen = RigProgram(one, height=16)(stacked)
+    reached = net.index_at(
+        torch.zeros(1, *net.grid.shape), Equirectangular(16, 32).directions.reshape(-1, 3)
+    )[1]
+    reached = reached.view(1, 16, 32)
+    assert not reached[:, [0, -1]].any()
+    assert torch.equal(inverse_depth.isfinite(), reached)
+    assert seen.any()
+    assert not (seen & ~reached).any()
 
 
 @cache

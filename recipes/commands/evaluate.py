@@ -157,7 +157,7 @@ def evaluate_checkpoint(config: Annotated[DictConfig, EvaluateKeys], folder: Pat
         )
     table = save_errors(
         folder / "metrics",
-        f"{config.split}, level {config.model.level}, percent of N = {net.num_hypotheses}",
+        f"{config.split}, {len(frames)} frame(s), level {config.model.level}, percent of N = {net.num_hypotheses}",
         mean_errors_by_method(records),
     )
     if published:

@@ -7,6 +7,7 @@ import csv
 import html
 import io
 import math
+import re
 import statistics
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -118,6 +119,27 @@ class Table(NamedTuple):
             writer.writerow(values)
         return file.getvalue()
 
+    def latex(self) -> str:
+        r"""The rows as a ``tabular`` with the rules of the package booktabs, and the title as a comment.
+
+        Examples:
+            >>> print(error_table("percent of N", {"net_a": {"MAE": 1.5}}).latex())
+            % percent of N
+            \begin{tabular}{lr}
+            \toprule
+             & MAE \\
+            \midrule
+            net\_a & 1.50 \\
+            \bottomrule
+            \end{tabular}
+            <BLANKLINE>
+        """
+        columns = "l" * self.labels + "r" * (len(self.columns) - self.labels)
+        header, *rows = (" & ".join(map(_escaped, row)) + r" \\" for row in ([*self.columns], *self.texts()))
+        title = [f"% {self.title}"] if self.title else []
+        lines = [*title, rf"\begin{{tabular}}{{{columns}}}", r"\toprule", header, r"\midrule", *rows]
+        return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+
     def html(self) -> str:
         """A paragraph with the title, and the table."""
         lines = [f"<th>{'</th><th>'.join(map(html.escape, self.columns))}</th>"]
@@ -130,8 +152,8 @@ class Table(NamedTuple):
         print_table(self.title, list(self.columns), self.texts())
 
     def save(self, stem: Path, *suffixes: str) -> None:
-        """Write ``.md`` or ``.csv``."""
-        writers: dict[str, Callable[[], str]] = {".md": self.markdown, ".csv": self.csv}
+        """Write ``.md``, ``.csv`` or ``.tex``."""
+        writers: dict[str, Callable[[], str]] = {".md": self.markdown, ".csv": self.csv, ".tex": self.latex}
         for suffix in suffixes:
             write_bytes(stem.with_suffix(suffix), writers[suffix]().encode())
 
@@ -155,10 +177,10 @@ def error_table(title: str, errors: Mapping[str, Mapping[str, float]]) -> Table:
 
 
 def save_errors(stem: Path, title: str, errors: Mapping[str, Mapping[str, float]]) -> Table:
-    """Print a table of errors and write it as ``.md``, ``.csv`` and ``.json``."""
+    """Print a table of errors and write it as ``.md``, ``.csv``, ``.tex`` and ``.json``."""
     table = error_table(title, errors)
     table.print()
-    table.save(stem, ".md", ".csv")
+    table.save(stem, ".md", ".csv", ".tex")
     write_json(stem.with_suffix(".json"), errors)
     return table
 
@@ -208,6 +230,15 @@ def summarize(values: Iterable[float | None], digits: int = 2) -> Cell | None:
 
 def _exact(value: float | None) -> str | None:
     return None if value is None else f"{value:.6g}"
+
+
+def _escaped(text: str) -> str:
+    """Text for LaTeX: special characters as it writes them, bold and the signs of cells as commands."""
+    signs = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+    signs |= {"±": r"$\pm$", "–": "--", ">": r"$>$", "<": r"$<$", "°": r"$^\circ$"}
+    signs |= {sign: "\\" + sign for sign in "&%$#_{}"}
+    plain = "".join(signs.get(sign, sign) for sign in text)
+    return re.sub(r"\*\*(.+?)\*\*", r"\\textbf{\1}", plain)
 
 
 def _text(cell: Content) -> str:

@@ -159,14 +159,21 @@ def render_camera(
     check_type("scene", scene, (Scene, MeshScene), "make_scene makes one")
     check_type("camera", camera, Camera)
     check_tensor("world_from_camera", world_from_camera, "(4, 4)")
+    return _pictures(scene, camera, world_from_camera[None], samples_per_pixel)[0]
+
+
+def _pictures(
+    scene: Scene | MeshScene, camera: Camera, world_from_camera: Tensor, samples_per_pixel: int
+) -> Tensor:
+    """The pictures ``(n, 3, h, w)`` from poses ``(n, 4, 4)`` of one camera, whose pixels are made rays once."""
     if samples_per_pixel < 1:
         raise ArgumentError(f"samples_per_pixel: expected at least 1, got {samples_per_pixel}")
-    pose = world_from_camera.to(scene.device, torch.float32)
+    poses = world_from_camera.to(scene.device, torch.float32)
     height, width = camera.image_size
     down, across = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     centers = torch.stack([across, down], -1).float()
     squares = _squares(height, width).to(scene.device)
-    total = torch.zeros(3, height * width, device=scene.device)
+    total = torch.zeros(len(poses), 3, height * width, device=scene.device)
     count = torch.zeros(height * width, device=scene.device)
     sample = torch.zeros_like(total)
     for offset in _stratified(samples_per_pixel):
@@ -174,17 +181,21 @@ def render_camera(
         valid = seen.valid.flatten().to(scene.device)
         local = seen.directions.to(scene.device, torch.float32)
         pixels = _seen(squares, valid)
-        directions = pose[:3, :3] @ local.reshape(-1, 3).T.index_select(1, pixels.flatten())
+        rays = local.reshape(-1, 3).T.index_select(1, pixels.flatten())
         spread = _spread(local).flatten()[pixels] / samples_per_pixel**0.5
-        light = _exposed(scene, pose[:3, 3], directions.view(3, *pixels.shape), spread).clamp_(max=4)
-        # Squares at edges hold pixels twice, with the same light.
-        sample[:, pixels.flatten()] = light.flatten(1)
+        for pose, values in zip(poses, sample, strict=True):
+            directions = (pose[:3, :3] @ rays).view(3, *pixels.shape)
+            light = _exposed(scene, pose[:3, 3], directions, spread).clamp_(max=4)
+            # Squares at edges hold pixels twice, with the same light.
+            values[:, pixels.flatten()] = light.flatten(1)
         total += sample
         count += valid
     picture = _develop(total / count.clamp(min=1))
-    return picture.view(3, height, width)
+    return picture.view(-1, 3, height, width)
 
 
+@full_precision
+@torch.no_grad()
 def render_rig(
     scene: Scene | MeshScene, rig: CameraRig, samples_per_pixel: int = 1
 ) -> dict[str, Float[Tensor, "3 _ _"]]:
@@ -196,10 +207,16 @@ def render_rig(
         >>> list(render_rig(make_scene("room"), ring_rig(2, image_size=(16, 16))))
         ['cam1', 'cam2']
     """
+    check_type("scene", scene, (Scene, MeshScene), "make_scene makes one")
     check_type("rig", rig, CameraRig, "ring_rig makes one, read_rig reads one")
     check_single(rig)
-    poses = zip(rig.cameras.items(), rig.world_from_camera, strict=True)
-    return {name: render_camera(scene, camera, pose, samples_per_pixel) for (name, camera), pose in poses}
+    cameras = list(rig.cameras.values())
+    pictures: dict[int, Tensor] = {}
+    for camera in {id(camera): camera for camera in cameras}.values():  # most rigs have one in all places
+        places = [place for place, other in enumerate(cameras) if other is camera]
+        taken = _pictures(scene, camera, rig.world_from_camera[places], samples_per_pixel)
+        pictures |= dict(zip(places, taken, strict=True))
+    return {name: pictures[place] for place, name in enumerate(rig.names)}
 
 
 def _develop(light: Tensor) -> Tensor:

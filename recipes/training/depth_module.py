@@ -72,7 +72,7 @@ class DepthModule(TrainingModule):
         self.tables = RigTables(net)
         self.training_loss = net.training_loss
         if compile is not None:
-            check_choice("task.compile", compile, torch.compiler.list_backends(exclude_tags=()))
+            check_choice("task.compile", compile, tuple(torch.compiler.list_backends(exclude_tags=())))
             self.training_loss = torch.compile(net.training_loss, backend=compile)
         self.validation_metric = DepthIndexError(net.num_hypotheses)
 

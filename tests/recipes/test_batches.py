@@ -49,9 +49,9 @@ def three_rigs() -> list[CameraRig]:
     ring = ring_rig(3, 0.2, SIZE)
     panoramas = [EquirectangularCamera(SIZE)] * 3
     return [
-        ring.to(torch.float64),
-        ring_rig(3, 0.1, SIZE).rotated(tilt=0.3).to(torch.float64),
-        CameraRig(panoramas, ring.world_from_camera).to(torch.float64),
+        ring.to(dtype=torch.float64),
+        ring_rig(3, 0.1, SIZE).rotated(tilt=0.3).to(dtype=torch.float64),
+        CameraRig(panoramas, ring.world_from_camera).to(dtype=torch.float64),
     ]
 
 
@@ -158,7 +158,7 @@ def test_bfloat16_is_of_layers_alone(name: str, generator: torch.Generator) -> N
     batch = collate_samples(
         [
             {
-                key: value.to(torch.float32)
+                key: value.to(dtype=torch.float32)
                 if isinstance(value, CameraRig) or value.is_floating_point()
                 else value
                 for key, value in sample.items()

@@ -1,3 +1,4 @@
+from .alignment import align_rig as align_rig
 from .calibrating.boards import AprilGrid as AprilGrid
 from .calibrating.boards import Charuco as Charuco
 from .calibrating.boards import Checkerboard as Checkerboard
@@ -8,7 +9,6 @@ from .calibrating.direct_alignment import align_rig_direct as align_rig_direct
 from .calibrating.refine import refine as refine
 from .calibrating.refine import refine_rig as refine_rig
 from .predictor import Predictor as Predictor
-from .preparation.alignment import align_rig as align_rig
 from .preparation.own_body import OwnBody as OwnBody
 from .preparation.own_body import find_own_body as find_own_body
 from .preparation.photometry import (

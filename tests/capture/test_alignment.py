@@ -12,8 +12,8 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, FisheyeCamera, ring_rig
 from sphericalvision.capture import Predictor, align_rig
+from sphericalvision.capture.alignment import RigTurns
 from sphericalvision.capture.calibrating.turns import about_most, turned
-from sphericalvision.capture.preparation.alignment import RigTurns
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 
 RIG = ring_rig(4, image_size=(192, 192))

@@ -15,7 +15,7 @@ import trimesh
 
 from sphericalvision.cameras import EquirectangularCamera, read_trajectory, ring_rig, save_rig
 from sphericalvision.capture import Predictor
-from sphericalvision.capture.preparation.alignment import RigTurns
+from sphericalvision.capture.alignment import RigTurns
 from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.images import read_image, write_image, write_mask

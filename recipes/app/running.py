@@ -16,7 +16,7 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import hydra
 from hydra import version
@@ -31,7 +31,6 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from sphericalvision import __version__
-from sphericalvision.recipes.app.command import Command
 from sphericalvision.recipes.app.errors import override_message, plain_errors, refuse, several_processes
 from sphericalvision.recipes.app.help import print_help
 from sphericalvision.recipes.app.words import first_values, quote_paths, read_words
@@ -41,7 +40,20 @@ __all__ = ["config_space", "run_command"]
 CONF = "pkg://sphericalvision.conf"
 
 
-def run_command(command: Command, words: list[str]) -> None:
+class Task(Protocol):
+    """What is run: a ``Command``, which comes before this module, as it can say what is not installed."""
+
+    name: str
+
+    @property
+    def keys(self) -> Any:
+        """The types of its keys."""
+
+    def work(self, config: DictConfig) -> Any:
+        """Do the work."""
+
+
+def run_command(command: Task, words: list[str]) -> None:
     """Do what the words of a command line say: show help or version, refuse what does not fit, or let it work."""
     config_name = command.name
     for stream in (sys.stdout, sys.stderr):
@@ -78,7 +90,7 @@ def run_command(command: Command, words: list[str]) -> None:
         _ = done.return_value  # raises what the work has raised
 
 
-def checked_config(space: Hydra, command: Command, overrides: list[str], multirun: bool) -> DictConfig:
+def checked_config(space: Hydra, command: Task, overrides: list[str], multirun: bool) -> DictConfig:
     """The configuration of a command line, of a multi-run's first run; exits where it does not fit."""
     try:
         words = first_values(overrides) if multirun else overrides
@@ -129,7 +141,7 @@ def import_torch() -> None:
         atexit.register(gc.freeze)
 
 
-def do_work(command: Command, own_files: Path | None, config: DictConfig) -> Any:
+def do_work(command: Task, own_files: Path | None, config: DictConfig) -> Any:
     """Import the Python files next to the user's own configs, let the command work, and tell mistakes plainly."""
     with plain_errors():
         import_torch()

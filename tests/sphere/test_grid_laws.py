@@ -342,7 +342,7 @@ def test_conservative_resampling_of_few_cells(source: str, target: str) -> None:
     values = torch.rand(1, *ours.shape, dtype=DOUBLE, generator=torch.Generator().manual_seed(0))
     areas = ours.solid_angles.clone(), theirs.solid_angles.clone()
     found = resample(torch.cat((values, torch.ones_like(values))), ours, theirs, mode="conservative")
-    total = areas[1].sum() / areas[0].sum()
+    total = float(areas[1].sum() / areas[0].sum())
     assert (found[0] * areas[1]).sum().item() == pytest.approx(
         (values * areas[0]).sum().item() * total, rel=1e-7
     )

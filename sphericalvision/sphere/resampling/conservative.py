@@ -160,7 +160,8 @@ def _balanced(
             step, length = scaled + (missing @ scaled) / length * step, missing @ scaled
         result = size * (1 + factors[targets] + factors[sources + split])
         fits = (areas - sums(result)).abs() <= 1e4 * _TOLERANCE * areas
-        return result if bool((result >= 0).all()) and bool(fits.all()) else None
+        positive = (result > 0) | (size == 0)
+        return result if bool(positive.all()) and bool(fits.all()) else None
 
     if (result := changed()) is not None:
         return result

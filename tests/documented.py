@@ -8,6 +8,7 @@ import shlex
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import nullcontext, suppress
 from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
@@ -16,6 +17,7 @@ import pytest
 import torch
 import trimesh
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import MissingMandatoryValue
 
 from sphericalvision.cameras import CameraRig, KannalaBrandtCamera, ring_rig, save_camera, save_rig
 from sphericalvision.data import write_omnistereo
@@ -199,15 +201,16 @@ def smaller(recipe: str, words: list[str], cache: Path) -> list[str]:
     return [*data, *STUDY, *panoramas, *study_words(config, cache)]
 
 
-def composed(recipe: str, words: list[str]) -> DictConfig:
-    """The config of a command line; of a sweep, that of its first run."""
+def composed(recipe: str, words: list[str], whole: bool = True) -> DictConfig:
+    """The config of a command line; of a sweep, that of its first run. One that is not whole may lack values."""
     from hydra import compose
 
     line = read_words(words, pytest.fail)
     overrides = first_values(line.overrides) if line.multirun else line.overrides
     with config_space(line.config_dir):
         config = compose(recipe, overrides)
-        check_keys(import_module(f"sphericalvision.recipes.{recipe}").main.keys, config, overrides)
+        with nullcontext() if whole else suppress(MissingMandatoryValue):
+            check_keys(import_module(f"sphericalvision.recipes.{recipe}").main.keys, config, overrides)
         return config
 
 

@@ -162,6 +162,7 @@ METHODS: dict[type, dict[str, Callable[[], Any]]] = {
         "windows": lambda: way().windows(3, spacing=0.13),
         "rig": lambda: (way().rig(lens(), [0, 2, 5]), way().rig(turned(), [1, 3])),
         "turned": lambda: [way().turned(up).world_from_camera for up in ("y", "z", "camera")],
+        "matches": lambda: torch.tensor([*way().matches(["0.1", "0.3"]).values()]),
         "of_images": lambda: way().of_images(["0.1", "0.3"]).world_from_camera,
     },
 }  # fmt: skip

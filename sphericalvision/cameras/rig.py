@@ -225,8 +225,8 @@ class CameraRig:
 
         Examples:
             >>> rig = ring_rig(2)
-            >>> rig.replaced(world_from_camera=rig.camera_from_world).positions[0]
-            tensor([0.0000, 0.0000, -0.2000])
+            >>> rig.replaced(world_from_camera=rig.camera_from_world).positions[0].abs()
+            tensor([0.0000, 0.0000, 0.2000])
         """
         return CameraRig(
             self.cameras if cameras is None else cameras,

@@ -193,8 +193,10 @@ def _checked_size(output_size: Sequence[int], num_scales: int) -> tuple[int, int
     # No width is a multiple of a power of two with more digits; the power of a number from a file may have no end.
     halved = whole and num_scales + 1 < sizes[1].bit_length() and sizes[1] % 2 ** (num_scales + 1) == 0
     if not halved or sizes[0] % 2:
+        is_small = isinstance(num_scales, int) and num_scales < 32
+        multiple = f"{2 ** (num_scales + 1)}" if is_small else "2 ** (num_scales + 1)"
         raise ArgumentError(
-            f"output_size: expected an even height and a width in multiples of 2 ** (num_scales + 1) with "
+            f"output_size: expected an even height and a width in multiples of {multiple} with "
             f"num_scales={short_repr(num_scales)}, got {list(sizes)}; choose other sizes or another num_scales"
         )
     return sizes[0], sizes[1]

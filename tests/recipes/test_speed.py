@@ -138,7 +138,7 @@ PRESET = bench_predict.preset_config
 def test_presets_are_those_of_predict() -> None:
     with initialize_config_module("sphericalvision.conf", version_base="1.3"):
         live, fast, default, fine = (PRESET(name, CPU) for name in ("live", "fast", "default", "fine"))
-    assert (live.photometric, fast.photometric) == (False, True)
+    assert (live.preparation.photometric, fast.preparation.photometric) == (False, True)
     assert (live.level, fast.level, default.level, fine.level) == (5, 5, None, 7)
 
 

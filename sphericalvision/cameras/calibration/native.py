@@ -41,6 +41,7 @@ def camera_from_dict(values: Any, where: str, dtype: torch.dtype | None = None) 
 
     Examples:
         >>> from sphericalvision.cameras import EquirectangularCamera
+        >>> from sphericalvision.cameras.native_files import camera_to_dict
         >>> camera_from_dict(camera_to_dict(EquirectangularCamera((160, 320))), "here").image_size
         (160, 320)
     """

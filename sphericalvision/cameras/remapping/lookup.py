@@ -61,6 +61,7 @@ def nearest_pixel(camera: Camera, pixels: Float[Tensor, "*batch 2"]) -> Int[Tens
     """Index (*) into the flattened image of the pixel whose centre is nearest to ``pixels`` (*, 2).
 
     Examples:
+        >>> import torch
         >>> nearest_pixel(EquirectangularCamera((4, 8)), torch.tensor([[7.6, 1.2], [2.0, -0.5]])).tolist()
         [8, 2]
     """

@@ -442,7 +442,7 @@ def constant_table(table: Callable[P, R]) -> Callable[P, R]:
         return result
 
     # As `torch.compiler.assume_constant_result`, which imports the compiler: seconds of each start.
-    vars(for_now)["_dynamo_marked_constant"] = True
+    for_now._dynamo_marked_constant = True  # type: ignore[attr-defined]
 
     @wraps(table)
     def constant(*args: P.args, **kwargs: P.kwargs) -> R:

@@ -442,7 +442,7 @@ def constant_table(table: Callable[P, R]) -> Callable[P, R]:
         return result
 
     # As `torch.compiler.assume_constant_result`, which imports the compiler: seconds of each start.
-    for_now._dynamo_marked_constant = True  # type: ignore[attr-defined]
+    vars(for_now)["_dynamo_marked_constant"] = True
 
     @wraps(table)
     def constant(*args: P.args, **kwargs: P.kwargs) -> R:

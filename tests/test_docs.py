@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 import yaml
 
 from tests.documented import PAGES, ROOT, blocks
@@ -24,6 +25,7 @@ from tests.documented import PAGES, ROOT, blocks
 def test_python_of_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The blocks of a page are one program, read from top to bottom."""
     monkeypatch.chdir(tmp_path)
+    torch.manual_seed(0)  # pages draw random images, and tests before this one do, too
     monkeypatch.syspath_prepend(ROOT / "docs")  # as MkDocs does for the pages' helper
     namespace: dict[str, object] = {"__name__": "page"}
     for number, (title, source) in enumerate(blocks(page, "python"), start=1):

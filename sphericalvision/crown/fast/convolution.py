@@ -25,7 +25,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from sphericalvision.crown.fast.registering import register_operator
+from sphericalvision.crown.fast.registering import Operator
 from sphericalvision.crown.places import place_ids
 from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, convolve
 
@@ -45,7 +45,7 @@ _TAPS = [list(sum(taps, ())) for taps in (COL_TAPS, ROW_TAPS)]
 
 
 def convolution(
-    given: Tensor,
+    values: Tensor,
     weight: Tensor,
     bias: Tensor | None,
     across: bool,
@@ -57,7 +57,7 @@ def convolution(
     """Convolve rectangles or charts of one kind, channels next to each other in memory.
 
     Args:
-        given: volumes ``(B, N, h, w, C)``, whose first and last hypothesis is repeated; or values at vertices,
+        values: volumes ``(B, N, h, w, C)``, whose first and last hypothesis is repeated; or values at vertices,
             ``(B, N, V, C)``, that ``places`` lay out.
         weight: ``(O, C, 21)``, index ``7 * depth + tap``; or ``(O, C, 7)`` where N is 1.
         bias: ``(O,)``.
@@ -65,17 +65,17 @@ def convolution(
         border: whether there is a border of one more place all around; otherwise theirs is repeated.
         relu: whether the results are rectified, which is not differentiated.
         places: ``(5, h, w)``, int32, vertices that five rectangles a sample are made of.
-        scaling: factors and offsets ``(samples or 1, C)`` by which what is given is multiplied and moved, and then
-            rectified, while it is read; not part of the operator.
+        scaling: factors and offsets ``(samples or 1, C)`` by which values are multiplied and moved, and then rectified,
+            while they are read; not part of the operator.
 
     Returns:
         ``(B, N, h, w, O)``; of values at vertices five for each sample.
     """
-    volumes = _volumes(given, places)
+    volumes = _volumes(values, places)
     batch, depth, height, width, _ = volumes.shape
     if places is not None:
         batch, height, width = 5 * batch, *places.shape[1:]
-    result = given.new_empty(batch, depth, height - 2 * border, width - 2 * border, len(weight))
+    result = values.new_empty(batch, depth, height - 2 * border, width - 2 * border, len(weight))
     shift = bias if bias is None else bias.contiguous()
     _operators().hex_convolve(
         volumes, weight.contiguous(), _TAPS[across], shift, relu, int(border), result, places, *scaling
@@ -86,40 +86,40 @@ def convolution(
 def convolution_gradients(
     upstream: Sequence[Tensor],
     inputs: Sequence[Any],
-    kept: Sequence[Tensor],
-    wanted: Sequence[bool],
+    statistics: Sequence[Tensor],
+    needs_grad: Sequence[bool],
     scaling: Scaling = (None, None),
 ) -> list[Tensor | None]:
-    """Gradients of what is given, weight and bias: the adjoints of all steps, in reverse.
+    """Gradients of values, weight and bias: the adjoints of all steps, in reverse.
 
     With ``scaling`` the first one is that of what was convolved.
     """
-    given, weight, _, across, border, relu, places = inputs
+    values, weight, _, across, border, relu, places = inputs
     assert not relu
-    volumes, gradient = _volumes(given, places), _volumes(upstream[0])
-    found: list[Tensor | None] = [None] * 4
-    if wanted[0]:
-        found[0] = by_given = given.new_zeros(given.shape)
+    volumes, gradient = _volumes(values, places), _volumes(upstream[0])
+    gradients: list[Tensor | None] = [None] * 4
+    if needs_grad[0]:
+        gradients[0] = by_values = values.new_zeros(values.shape)
         _operators().hex_convolve_backward_given(
-            gradient, weight.contiguous(), _TAPS[across], int(border), _volumes(by_given, places), places
+            gradient, weight.contiguous(), _TAPS[across], int(border), _volumes(by_values, places), places
         )
-    if wanted[1]:
-        found[1] = by_weight = torch.empty_like(weight, memory_format=torch.contiguous_format)
+    if needs_grad[1]:
+        gradients[1] = by_weight = torch.empty_like(weight, memory_format=torch.contiguous_format)
         _operators().hex_convolve_backward_weight(
             volumes, gradient, _TAPS[across], int(border), by_weight, places, *scaling
         )
-    if wanted[2]:
-        found[2] = gradient.sum((0, 1, 2, 3))
-    return found
+    if needs_grad[2]:
+        gradients[2] = gradient.sum((0, 1, 2, 3))
+    return gradients
 
 
 def plain_convolution(*inputs: Any) -> Tensor:
     """The same as ``convolution`` in plain torch, of the operator's arguments."""
-    given, weight, bias, across, border, relu, places = inputs
+    values, weight, bias, across, border, relu, places = inputs
     if places is not None:
-        laid_out = given.index_select(2, places.flatten()).unflatten(2, places.shape)
-        given = laid_out.movedim(2, 1).flatten(0, 1)
-    images = given.movedim(-1, 1)
+        laid_out = values.index_select(2, places.flatten()).unflatten(2, places.shape)
+        values = laid_out.movedim(2, 1).flatten(0, 1)
+    images = values.movedim(-1, 1)
     flat = weight.shape[-1] == 7
     result = convolve(
         images.squeeze(2) if flat else images, weight, ROW_TAPS if across else COL_TAPS, bias, border=border
@@ -128,13 +128,13 @@ def plain_convolution(*inputs: Any) -> Tensor:
     return result.relu() if relu else result
 
 
-hex_convolution = register_operator(
-    "hex_convolution(Tensor given, Tensor weight, Tensor? bias, bool across, bool border, bool relu, Tensor? places) "
+hex_convolution = Operator(
+    "hex_convolution(Tensor values, Tensor weight, Tensor? bias, bool across, bool border, bool relu, Tensor? places) "
     "-> Tensor",
     convolution,
     convolution_gradients,
     plain_convolution,
-)
+).forward
 
 
 @lru_cache(maxsize=16)

@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.crown.fast.convolution import convolution, convolution_gradients, plain_convolution
-from sphericalvision.crown.fast.registering import register_operator
+from sphericalvision.crown.fast.registering import Operator
 
 __all__ = ["crown_normalization"]
 
@@ -67,14 +67,17 @@ def _normalization(
             torch.ops.sphericalvision.scale_shift(x, factor, offset, relu, result)
             results.append(result.view(like.shape))
         else:
-            given = x.view(like.shape).flatten(0, 1)
-            result = convolution(given, weight, bias, bool(across), False, False, None, (factor, offset))
+            volumes = x.view(like.shape).flatten(0, 1)
+            result = convolution(volumes, weight, bias, bool(across), False, False, None, (factor, offset))
             results.append(result.unflatten(0, (-1, 5)))
     return results[0], results[1], mean, variance
 
 
 def _gradients(
-    upstream: Sequence[Tensor], inputs: Sequence[Any], kept: Sequence[Tensor], wanted: Sequence[bool]
+    upstream: Sequence[Tensor],
+    inputs: Sequence[Any],
+    statistics: Sequence[Tensor],
+    needs_grad: Sequence[bool],
 ) -> list[Tensor | None]:
     """Gradients of col, row, scale, shift, weight and bias.
 
@@ -82,7 +85,7 @@ def _gradients(
     that is, per channel, ``factor * gradient + by_value * value + constant``.
     """
     col, row, scale, shift, weight, bias, eps, per_sample, relu = inputs
-    mean, variance = kept
+    mean, variance = statistics
     values = _places((col, row))
     factor, offset = _scaling(mean, variance, scale, shift, eps)
     gradients, by_weight = _places(upstream), [None, None]
@@ -93,7 +96,7 @@ def _gradients(
                 [gradient.flatten(0, 1)],
                 (x.view(like.shape).flatten(0, 1), weight, bias, across, False, False, None),
                 (),
-                (True, *wanted[4:]),
+                (True, *needs_grad[4:]),
                 (factor, offset),
             )
             for gradient, x, like, across in zip(upstream, values, (col, row), (False, True), strict=True)
@@ -115,10 +118,10 @@ def _gradients(
     by_value = -factor * invert * along / number
     constant = -factor * total / number - by_value * mean
     # The second pass. What the convolutions returned is nobody else's, and is written over.
-    found = [torch.empty_like(x) for x in values] if weight is None else gradients
-    for g, x, result in zip(gradients, values, found, strict=True):
+    input_gradients = [torch.empty_like(x) for x in values] if weight is None else gradients
+    for g, x, result in zip(gradients, values, input_gradients, strict=True):
         operators.normalized_gradient(g, x, factor, offset, relu, by_value, constant, result)
-    first, second = (x.view(like.shape) for x, like in zip(found, (col, row), strict=True))
+    first, second = (x.view(like.shape) for x, like in zip(input_gradients, (col, row), strict=True))
     return [first, second, along.sum(0), total.sum(0), *by_weight]
 
 
@@ -143,14 +146,14 @@ def _plainly(*inputs: Any) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     return pair[0], pair[1], mean.flatten(0, 1), variance.flatten(0, 1)
 
 
-crown_normalization = register_operator(
+crown_normalization = Operator(
     "crown_normalization(Tensor col, Tensor row, Tensor scale, Tensor shift, Tensor? weight, Tensor? bias, float eps, "
     "bool per_sample, bool relu) -> (Tensor, Tensor, Tensor, Tensor)",
     _normalization,
     _gradients,
     _plainly,
-    results=2,
-)
+    num_differentiable=2,
+).forward
 
 
 def _scaling(

@@ -7,9 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sphericalvision.core import ShapeError, check_dtype
+from sphericalvision.core import ShapeError, check_dtype, uses_reference_kernels
 from sphericalvision.crown.conv import CrownConv2d, CrownConv3d, convolve_crown
-from sphericalvision.crown.fast import normalize, settled_way
+from sphericalvision.crown.fast import normalize
 from sphericalvision.crown.layout import Crown, check_crown, from_crown, to_crown
 from sphericalvision.crown.norm import _CrownBatchNorm, crown_norm
 from sphericalvision.crown.places import check_values
@@ -28,7 +28,7 @@ class _CrownConvNorm(nn.Module):
     def forward(self, crown: Crown) -> Crown:
         check_crown(crown)
         check_dtype("crown", crown.col, self.conv.weight)
-        if self.norm.is_affine and settled_way() != "reference":  # one step in place of two
+        if self.norm.is_affine and not uses_reference_kernels():  # one step in place of two
             weight, bias = self.norm.folded(self.conv.weight)
             return convolve_crown(crown, weight, bias, self.conv.stride, self.relu)
         return self.norm.normalize(self.conv(crown), self.relu)
@@ -89,7 +89,7 @@ def convolve_twice(
     check_dtype("crown", given if isinstance(given, Tensor) else given.col, conv.weight)
     after = second.conv if isinstance(second, _CrownConvNorm) else second
     fits = first.relu and after.stride == 1 and after.weight.shape[1] == conv.weight.shape[0]
-    if not fits or settled_way() == "reference":
+    if not fits or uses_reference_kernels():
         return second(first(to_crown(given) if isinstance(given, Tensor) else given))  # type: ignore[no-any-return]
     if norm.is_affine:
         weight, bias = norm.folded(conv.weight)

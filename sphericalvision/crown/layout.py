@@ -18,6 +18,7 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentTypeError, ShapeError, in_one_graph
 from sphericalvision.crown.by_lookups import fold_by_lookups
+from sphericalvision.crown.fast import slices_pay
 from sphericalvision.crown.places import (
     check_values,
     level_of_rectangles,
@@ -25,7 +26,7 @@ from sphericalvision.crown.places import (
     sum_over_places,
     values_at_places,
 )
-from sphericalvision.crown.unfolding import mean_over_places, slices_pay, unfold
+from sphericalvision.crown.unfolding import mean_over_places, unfold
 
 __all__ = ["Crown", "crown_map", "crown_relu", "exchange", "from_crown", "to_crown"]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Training in less memory: forget what lies inside a part of a network and compute it again when it is wanted."""
+"""Training in less memory: what lies inside a part of a network is not kept, but computed again when it is needed."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 from torch.utils.checkpoint import checkpoint
 
-from sphericalvision.core import ArgumentError, kernels
-from sphericalvision.crown.fast import forgets, settled_way
+from sphericalvision.core import ArgumentError, kernels, way_of_kernels
+from sphericalvision.crown.fast import operators_in_use, recomputation_pays
 from sphericalvision.crown.layout import Crown
 
-__all__ = ["RecomputedModule", "forget_inside", "recomputes", "set_kernel_options"]
+__all__ = ["RecomputedModule", "recompute_if_large", "recomputes", "set_kernel_options"]
 
 LARGE = 2**23
-"""Bytes of a crown from which on ``forget_inside`` forgets: 21 MB of 32 channels at level 6, 1.4 MB at level 4."""
+"""Bytes of a crown from which on ``recompute_if_large`` does: 21 MB of 32 channels at level 6, 1.4 MB at level 4."""
 
 
 class RecomputedModule(nn.Module):
     """A module that in training keeps its inputs alone for the backward pass, if ``recompute`` says so.
 
-    What lies inside is computed again when it is wanted: the same results and gradients for a third more work.
+    What lies inside is computed again when it is needed: the same results and gradients for a third more work.
     Running statistics take one step, not two. See ``set_kernel_options``.
 
     References:
@@ -48,30 +48,32 @@ class RecomputedModule(nn.Module):
         if not (self.recompute and self.training and torch.is_grad_enabled()):
             return run(*inputs)
 
-        return _compute_twice(run, self, *inputs)
+        return _checkpointed(run, self, *inputs)
 
 
-def forget_inside(module: nn.Module, crown: Crown) -> Any:
+def recompute_if_large(module: nn.Module, crown: Crown) -> Any:
     """Apply a module, which training computes twice if the crown is large: where memory counts, and calls do not.
 
     Only where operators in C++ are in use; by layers in torch and by the readable formulas nothing is done twice.
     """
-    if not (module.training and torch.is_grad_enabled() and forgets(crown.col)):
+    if not (module.training and torch.is_grad_enabled() and recomputation_pays(crown.col)):
         return module(crown)
-    return _compute_twice(module, module, crown) if sum(x.nbytes for x in crown) >= LARGE else module(crown)
+    return _checkpointed(module, module, crown) if sum(x.nbytes for x in crown) >= LARGE else module(crown)
 
 
-def _compute_twice(run: Callable[..., Any], module: nn.Module, *inputs: Any) -> Any:
+def _checkpointed(run: Callable[..., Any], module: nn.Module, *inputs: Any) -> Any:
     """Call ``run``, which applies a module, keep its inputs alone, and call it once more in the backward pass."""
-    way = settled_way()  # the same ways twice: else other tensors would be kept than are wanted
+    # The same way twice, or other tensors would be saved than are asked for: operators may be compiled in between.
+    way = way_of_kernels()
+    way = "plain" if way == "auto" and not operators_in_use() else way
 
     def contexts() -> tuple[AbstractContextManager[None], AbstractContextManager[None]]:
-        return kernels(way), _Again(module, way)
+        return kernels(way), _StatisticsRestored(module, way)
 
     return checkpoint(run, *inputs, use_reentrant=False, context_fn=contexts)
 
 
-class _Again(AbstractContextManager[None]):
+class _StatisticsRestored(AbstractContextManager[None]):
     """Puts running statistics back to what they were before; may be entered again, as second derivatives do."""
 
     def __init__(self, module: nn.Module, way: str) -> None:

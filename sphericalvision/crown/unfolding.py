@@ -19,8 +19,7 @@ import torch
 from jaxtyping import Float, Num
 from torch import Tensor
 
-from sphericalvision.core import in_one_graph
-from sphericalvision.crown.fast import settled_way
+from sphericalvision.crown.fast import operators_in_use
 from sphericalvision.crown.places import own_charts
 from sphericalvision.icosphere import level_from_num_vertices
 
@@ -29,19 +28,8 @@ __all__ = [
     "fill_north_and_east",
     "fold_north_and_east",
     "mean_over_places",
-    "slices_pay",
     "unfold",
 ]
-
-
-def slices_pay(values: Num[Tensor, " ..."]) -> bool:
-    """Whether crowns are made by slices: on a CPU.
-
-    Not for the reference, or inside the transforms of ``torch.func``, which take functions apart that torch knows.
-    """
-    if in_one_graph(values.device) or torch._C._are_functorch_transforms_active():
-        return False
-    return values.device.type == "cpu" and settled_way() != "reference"
 
 
 class Unfold(torch.autograd.Function):
@@ -78,7 +66,7 @@ def unfold(values: Num[Tensor, "B C *N V"]) -> tuple[Tensor, Tensor]:
 
     It does for operators in C++ and for convolutions of torch, but not for the gradients of torch's normalisations.
     """
-    col, row = Unfold.apply(values, not torch.is_grad_enabled() or settled_way() != "plain")
+    col, row = Unfold.apply(values, not torch.is_grad_enabled() or operators_in_use())
     return col, row
 
 

@@ -27,7 +27,7 @@ from sphericalvision.crown import (
 )
 from sphericalvision.crown.block import convolve_twice
 from sphericalvision.crown.layout import crown_map
-from sphericalvision.crown.recompute import RecomputedModule, forget_inside
+from sphericalvision.crown.recompute import RecomputedModule, recompute_if_large
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.models.depth_network import DepthNetwork
@@ -221,7 +221,7 @@ class FeatureExtractor(RecomputedModule):
     def forward(self, images: Float[Tensor, "B C_in V_image"]) -> Float[Tensor, "B C V"]:
         crown = exchange(convolve_twice(to_crown(images), self.entry, self.second))
         # Of what a training step would keep a sixth lies inside the finest blocks, for a thirtieth of its work.
-        fine = exchange(self.fine(crown) if self.recompute else forget_inside(self.fine, crown))
+        fine = exchange(self.fine(crown) if self.recompute else recompute_if_large(self.fine, crown))
         crown = exchange(self.coarse(fine))
         if self.coarsening == 1:
             crown = crown_upsample(crown) + fine

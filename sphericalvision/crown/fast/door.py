@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one door to the operators in C++: layers ask here, and are computed plainly where operators do not fit.
+"""Where crowns choose how they are computed, and the one door to the operators in C++.
 
-Operators compute on a CPU, in the precision of the weights, at stride 1; under ``core.kernels("auto")`` in single
-precision once they are compiled, under ``"require"`` wherever they can.
+Layers ask here, and are computed by torch where operators do not fit. Operators compute on a CPU, in the precision of
+the weights, at stride 1; under ``core.kernels("auto")`` in single precision once they are compiled, under ``"require"``
+wherever they can.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from torch import Tensor
 from torch.nn.modules.batchnorm import _BatchNorm
 from torch.utils.checkpoint import checkpoint
 
-from sphericalvision.core import way_of_kernels
+from sphericalvision.core import in_one_graph, uses_reference_kernels, way_of_kernels
 from sphericalvision.crown.fast.build import operators_ready
 from sphericalvision.crown.fast.convolution import hex_convolution, vertices_at_places
 from sphericalvision.crown.fast.normalization import crown_normalization
@@ -23,13 +24,35 @@ from sphericalvision.icosphere import level_from_num_vertices
 __all__ = [
     "convolve_rectangles",
     "convolve_vertices",
-    "forgets",
     "normalize",
-    "settled_way",
+    "operators_in_use",
+    "recomputation_pays",
+    "slices_pay",
 ]
 
 
 Pair = tuple[Tensor, Tensor]
+
+
+def operators_in_use() -> bool:
+    """Whether ``core.kernels`` asks for operators in C++ here and now, and they are compiled."""
+    return operators_ready(way_of_kernels())
+
+
+def recomputation_pays(values: Float[Tensor, " ..."]) -> bool:
+    """Whether training computes twice what takes memory and little time: where operators are, and torch allows it."""
+    # The transforms of torch.func know no hooks of saved tensors.
+    transformed = torch._C._are_functorch_transforms_active()
+    compiling = torch.compiler.is_compiling()
+    return values.device.type == "cpu" and operators_in_use() and not transformed and not compiling
+
+
+def slices_pay(values: Float[Tensor, " ..."]) -> bool:
+    """Whether crowns are made by slices, on a CPU; the reference looks every vertex up, and so do graphs."""
+    # Slices are a function of autograd of our own, which the transforms of torch.func do not know.
+    transformed = torch._C._are_functorch_transforms_active()
+    in_torch = uses_reference_kernels() or in_one_graph(values.device)
+    return values.device.type == "cpu" and not in_torch and not transformed
 
 
 def _operators_fit(values: Float[Tensor, " ..."], weight: Float[Tensor, " ..."]) -> bool:
@@ -43,9 +66,8 @@ def _operators_fit(values: Float[Tensor, " ..."], weight: Float[Tensor, " ..."])
         return False
     if torch.compiler.is_exporting():  # programs that leave this package know the operators of torch alone
         return False
-    way = way_of_kernels()
     # In double precision a vector takes two registers; operators serve there to be compared with the reference.
-    return (values.dtype == torch.float32 or way == "require") and operators_ready(way)
+    return (values.dtype == torch.float32 or way_of_kernels() == "require") and operators_in_use()
 
 
 def convolve_rectangles(
@@ -78,7 +100,7 @@ def convolve_rectangles(
         result = _outward(result.unflatten(0, (-1, 5)), rectangles.ndim)
         return result.relu() if relu and keeps else result
     images = rectangles.flatten(0, 1)
-    if keeps and images.requires_grad and forgets(images):
+    if keeps and images.requires_grad and recomputation_pays(images):
         # A border that is copied around is not kept: who reads that which is copied keeps it anyway.
         result = checkpoint(convolve, images, weight, taps, bias, stride, border, kernel, use_reentrant=False)
     else:
@@ -151,23 +173,6 @@ def normalize(
     )
     _track(norm, mean, variance, col)
     return _outward(first, col.ndim), _outward(second, col.ndim)
-
-
-def settled_way() -> str:
-    """The way of ``core.kernels`` in force here and now; layers that have another way in torch ask, too.
-
-    Who computes the same once more needs it, as ``"auto"`` may change between two times, once operators are compiled.
-    """
-    way = way_of_kernels()
-    return way if way != "auto" or operators_ready(way) else "plain"
-
-
-def forgets(values: Float[Tensor, " ..."]) -> bool:
-    """Whether training computes twice what takes memory and little time: where operators are, and torch allows it."""
-    if values.device.type != "cpu":
-        return False
-    transformed = torch._C._are_functorch_transforms_active()  # they know no hooks of saved tensors
-    return settled_way() in ("auto", "require") and not transformed and not torch.compiler.is_compiling()
 
 
 @torch.no_grad()

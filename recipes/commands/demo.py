@@ -18,13 +18,13 @@ from sphericalvision.capture.outputs import Panoramas, Settings, save_frame
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import SampleView, ToSphere, collate_samples
 from sphericalvision.io.images import write_image
-from sphericalvision.models import DepthNetwork, WinnerTakesAll
+from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import build, choose_device, console
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Number, Text
-from sphericalvision.recipes.evaluation.frames import BatchFrames
+from sphericalvision.recipes.evaluation.frames import SampleFrames
 from sphericalvision.recipes.evaluation.loop import VertexErrors, evaluate, mean_errors_by_method
-from sphericalvision.recipes.evaluation.methods import Method, Scale, constants, sweep
+from sphericalvision.recipes.evaluation.methods import Method, Scale, constants, sweeps
 from sphericalvision.recipes.evaluation.tables import Table, save_errors
 from sphericalvision.scenes import World, WorldSamples
 from sphericalvision.scenes.samples import recorded_sample
@@ -76,11 +76,11 @@ def demo(config: DemoConfig, folder: Path) -> Table:
     depths = WorldSamples(world, SampleView(depth_level=net.level - 2), seeds)
     methods = [
         Method(type(net).__name__, net),
-        sweep("photo-consistency sweep", WinnerTakesAll, net, net.level),
+        *sweeps(net, net.level)[:1],
         *constants(net, net.level, DataLoader(depths, batch_size=8, collate_fn=collate_samples)),
     ]
     measure = VertexErrors(Scale(net.num_hypotheses, net.min_depth), net.level - 2, net.device)
-    records = evaluate(methods, BatchFrames(collate_samples([sample])), measure)
+    records = evaluate(methods, SampleFrames(lambda _: [collate_samples([sample])], 1), measure)
     title = f"errors of this scene, percent of N = {net.num_hypotheses} (smaller is better)"
     table = save_errors(folder / "metrics", title, mean_errors_by_method(records))
     _print_contents(folder)

@@ -13,6 +13,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from pydantic import with_config
 from torch import Tensor
+from torch.utils.data import Subset
 from typing_extensions import TypedDict
 
 from sphericalvision.cameras.fingerprint import rig_fingerprint
@@ -150,7 +151,8 @@ def evaluate_checkpoint(config: Annotated[DictConfig, EvaluateKeys], folder: Pat
     within = net.index_at(nothing, Icosphere(level, device=net.device).vertices)[1]
     published = getattr(data, "published", None)
     measure = (StripErrors if published else VertexErrors)(scale, level, net.device, within)
-    records = evaluate(methods, SampleFrames(data, frames), measure)
+    samples = SampleFrames(lambda numbers: data.loader(Subset(frames, numbers)), len(frames))
+    records = evaluate(methods, samples, measure)
     if records[name].means["points"]["kept"] == 0:
         raise ArgumentError(
             f"min_confidence: {name} is nowhere as confident as {config.min_confidence:g}; set less"

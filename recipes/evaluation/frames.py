@@ -3,18 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 from rich.progress import track
-from torch.utils.data import Dataset, Subset
 
-if TYPE_CHECKING:
-    from sphericalvision.recipes.datamodules.base import SampleDataModule
-
-
-__all__ = ["Batch", "BatchFrames", "FrameSet", "SampleFrames"]
+__all__ = ["Batch", "FrameSet", "SampleFrames"]
 
 Batch = Any
 """Some frames: whatever methods find images, and a measure the truth in; mostly samples that are put together."""
@@ -42,11 +37,11 @@ class FrameSet(Protocol):
 
 
 class SampleFrames:
-    """Samples of a data module, named by their numbers; shows its progress.
+    """Samples, named by their numbers; shows its progress.
 
     Args:
-        data: that makes the loader.
-        samples: the frames.
+        load: makes batches of the samples of some numbers, put together as ``collate_samples`` does.
+        count: of all samples.
         name: of the set, and of its progress.
         drawn: numbers of the frames that are drawn.
         key: what the frames depend on.
@@ -54,45 +49,21 @@ class SampleFrames:
 
     def __init__(
         self,
-        data: SampleDataModule,
-        samples: Dataset[Any],
+        load: Callable[[Sequence[int]], Collection[dict[str, Any]]],
+        count: int,
         name: str = "evaluating",
         drawn: Sequence[int] = (),
         key: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
-        self.data, self.samples, self.name, self.key = data, samples, name, key
-        self.names = [str(number) for number in range(len(samples))]  # type: ignore[arg-type]
+        self.load, self.name, self.key = load, name, key
+        self.names = [str(number) for number in range(count)]
         self.drawn = {str(number) for number in drawn}
 
     def batches(self, names: Sequence[str]) -> Iterator[tuple[Sequence[str], Batch]]:
-        """The samples, put together as the data module does."""
+        """The samples of some names, in batches."""
         done = 0
-        loader = self.data.loader(Subset(self.samples, [int(name) for name in names]))
+        loader = self.load([int(name) for name in names])
         for batch in track(loader, self.name, total=len(loader)):
             number = len(batch["valid"])
             yield names[done : done + number], batch
-            done += number
-
-
-class BatchFrames:
-    """Frames of batches that are there already, named by their numbers.
-
-    Args:
-        batches: samples that are put together, each of which is given whole.
-    """
-
-    name = "batches"
-    key: Mapping[str, Any] = MappingProxyType({})
-    drawn: Collection[str] = ()
-
-    def __init__(self, *batches: dict[str, Any]) -> None:
-        self.given = batches
-        self.names = [str(number) for number in range(sum(len(batch["valid"]) for batch in batches))]
-
-    def batches(self, names: Sequence[str]) -> Iterator[tuple[Sequence[str], Batch]]:
-        """All batches, whatever is asked for."""
-        done = 0
-        for batch in self.given:
-            number = len(batch["valid"])
-            yield self.names[done : done + number], batch
             done += number

@@ -54,7 +54,7 @@ __all__ = [
     "make_method",
     "make_methods",
     "photographs_of",
-    "sweep",
+    "sweeps",
 ]
 
 
@@ -269,16 +269,15 @@ def baselines(net: DepthNetwork, level: int, data: SampleDataModule) -> list[Met
     data.render("train")
     return [
         *constants(net, level, data.loader(data.plain_train_dataset())),
-        sweep("photo-consistency sweep", WinnerTakesAll, net, level),
-        sweep("semi-global sweep", SemiGlobalSweep, net, level),
+        *sweeps(net, level),
     ]
 
 
-def sweep(
-    name: str, kind: type[WinnerTakesAll] | type[SemiGlobalSweep], net: DepthNetwork, level: int
-) -> Method:
-    """A sweep with the hypotheses of a network, on images of a level."""
-    return Method(name, kind(level, net.num_hypotheses, net.min_depth).to(net.device))
+def sweeps(net: DepthNetwork, level: int) -> list[Method]:
+    """Photo-consistency and semi-global sweep with the hypotheses of a network, on images of a level."""
+    kinds = {"photo-consistency sweep": WinnerTakesAll, "semi-global sweep": SemiGlobalSweep}
+    options = level, net.num_hypotheses, net.min_depth
+    return [Method(name, kind(*options).to(net.device)) for name, kind in kinds.items()]
 
 
 def constants(net: DepthNetwork, level: int, loader: DataLoader[dict[str, Any]]) -> list[Method]:

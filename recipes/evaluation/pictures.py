@@ -7,17 +7,18 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
 from sphericalvision.recipes.evaluation.methods import Scale
 from sphericalvision.sweep import depth_from_index
-from sphericalvision.viz import depth_to_color, error_to_color
+from sphericalvision.viz import depth_to_color, error_to_color, sheet
 from sphericalvision.viz.color import fade
 from sphericalvision.viz.panorama import icosphere_to_panorama
 
-__all__ = ["WORST", "DrawnFrame", "color_picture"]
+__all__ = ["WORST", "DrawnFrame", "camera_picture", "color_picture", "frames_sheet"]
 
 Picture = npt.NDArray[np.uint8]
 
@@ -32,6 +33,7 @@ class DrawnFrame(NamedTuple):
     """A frame as it is drawn.
 
     Attributes:
+        camera: uint8 ``(h, w, 3)``, the image of the first camera, as methods get it.
         view: uint8 ``(h, 2h, 3)``, what there is to see.
         truth: ``(V,)`` true index in the hypotheses of ``scale``, NaN where unknown.
         counts: ``(V,)`` where errors are taken; the rest is faded.
@@ -39,30 +41,29 @@ class DrawnFrame(NamedTuple):
         scale: hypotheses.
     """
 
+    camera: Picture
     view: Picture
     truth: Tensor
     counts: Tensor
     estimates: Mapping[str, Tensor]
     scale: Scale
 
-    def depths(self) -> dict[str, Picture]:
-        """The view, the truth and every estimate with its mean absolute error in percent of N, by their titles."""
-        pictures = {"view": self.view, "truth": self._depth(self.truth)}
-        for name, index in self.estimates.items():
-            valid = self.counts & ~self._error(index).isnan()
-            mean = f"{float(self._error(index)[valid].mean()):.2f}" if valid.any() else "-"
-            pictures[f"{name}: MAE {mean}"] = self._faded(self._depth(index))
-        return pictures
+    def pictures(self) -> dict[str, Picture]:
+        """By their titles: what there is to see, the truth, and of every method the depth and the error.
 
-    def errors(self) -> dict[str, Picture]:
-        """The error of every estimate by its title, from 0 (dark) to ``WORST`` percent of N (bright)."""
+        Depths have the mean absolute error in percent of N in their titles. Errors are from 0 (dark) to ``WORST``
+        percent of N (bright).
+        """
         rows = len(self.view)
-        return {
-            f"error of {name}": self._faded(
-                error_to_color(icosphere_to_panorama(self._error(index).nan_to_num(WORST), rows), WORST)
-            )
-            for name, index in self.estimates.items()
-        }
+        pictures = {"first camera": self.camera, "view": self.view, "truth": self._depth(self.truth)}
+        for name, index in self.estimates.items():
+            error = self._error(index)
+            valid = self.counts & ~error.isnan()
+            mean = f"{float(error[valid].mean()):.2f}" if valid.any() else "-"
+            pictures[f"{name}: MAE {mean}"] = self._faded(self._depth(index))
+            drawn = error_to_color(icosphere_to_panorama(error.nan_to_num(WORST), rows), WORST)
+            pictures[f"error of {name}"] = self._faded(drawn)
+        return pictures
 
     def _error(self, index: Tensor) -> Tensor:
         return (index - self.truth).abs() * (100 / self.scale.num_hypotheses)
@@ -81,3 +82,19 @@ class DrawnFrame(NamedTuple):
 def color_picture(image: Tensor) -> Picture:
     """uint8 ``(h, w, 3)`` of an image ``(3, h, w)`` in [0, 1]."""
     return (image.clamp(0, 1) * 255).round().byte().permute(1, 2, 0).numpy()  # type: ignore[no-any-return]
+
+
+def camera_picture(image: Tensor, rows: int) -> Picture:
+    """uint8 ``(rows, w, 3)`` of an image ``(3, h, w)`` in [0, 1], at most twice as wide as high."""
+    picture = color_picture(image)
+    width = min(2 * rows, round(rows * picture.shape[1] / picture.shape[0]))
+    return cv2.resize(picture, (width, rows), interpolation=cv2.INTER_AREA)  # type: ignore[return-value]
+
+
+def frames_sheet(frames: Mapping[str, DrawnFrame]) -> Picture:
+    """Frames side by side, each below its name; uint8 RGB."""
+    columns = [
+        [(f"{name}, {title}", picture) for title, picture in frame.pictures().items()]
+        for name, frame in frames.items()
+    ]
+    return sheet(dict(cell for row in zip(*columns, strict=True) for cell in row), columns=len(columns))

@@ -155,7 +155,7 @@ class Table(NamedTuple):
         """Write ``.md``, ``.csv`` or ``.tex``."""
         writers: dict[str, Callable[[], str]] = {".md": self.markdown, ".csv": self.csv, ".tex": self.latex}
         for suffix in suffixes:
-            write_bytes(stem.with_suffix(suffix), writers[suffix]().encode())
+            write_bytes(stem.with_name(stem.name + suffix), writers[suffix]().encode())
 
 
 def error_table(title: str, errors: Mapping[str, Mapping[str, float]]) -> Table:
@@ -186,17 +186,26 @@ def save_errors(stem: Path, title: str, errors: Mapping[str, Mapping[str, float]
 
 
 def save_report(
-    folder: Path, name: str, title: str, tables: Mapping[str, Table], pictures: Mapping[str, str]
+    folder: Path,
+    name: str,
+    title: str,
+    tables: Mapping[str, Table],
+    pictures: Mapping[str, str],
+    content: Any,
 ) -> None:
-    """Write all tables and pictures below their headings, as ``<name>.md`` and as ``index.html``.
+    """Write tables and pictures below their headings, ``<name>.md`` and ``index.html``; print the first table.
 
     Args:
-        folder: of both.
+        folder: of both, of each table as ``.md`` and ``.csv``, and of ``<name>.json``.
         name: of the Markdown.
         title: of the page.
         tables: heading -> table.
         pictures: heading -> file in the folder.
+        content: of the JSON.
     """
+    for heading, table in tables.items():
+        table.save(folder / heading.replace(" ", "_"), ".md", ".csv")
+    write_json(folder / f"{name}.json", content)
     parts = [
         f"# {title}",
         *(f"## {heading}\n\n{table.markdown().rstrip()}" for heading, table in tables.items()),
@@ -211,6 +220,8 @@ def save_report(
         image = f'<img src="{html.escape(quote(file))}" loading="lazy" style="max-width:100%">'
         lines.append(f"<h2>{html.escape(heading)}</h2>\n{image}")
     write_bytes(folder / "index.html", ("\n".join(lines) + "\n").encode())
+    next(iter(tables.values())).print()
+    print(f"Results are in {folder}: {name}.md, {name}.json, index.html")
 
 
 def summarize(values: Iterable[float | None], digits: int = 2) -> Cell | None:

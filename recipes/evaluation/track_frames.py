@@ -38,7 +38,7 @@ class Size(NamedTuple):
     Attributes:
         level: icosphere on which truth is dense.
         panorama_rows: of the panorama of true depth.
-        image_rows: of fisheye images, None for the track's own.
+        image_rows: of fisheye images.
         samples_per_pixel: rays.
         preparation: of images and rig, for all methods alike, as ``sphericalvision-predict`` does; cameras are turned
             by the depth of the network that ships.
@@ -46,7 +46,7 @@ class Size(NamedTuple):
 
     level: int = 6
     panorama_rows: int = 320
-    image_rows: int | None = None
+    image_rows: int = 256
     samples_per_pixel: int = 2
     preparation: Preparation = Preparation()
 
@@ -98,8 +98,7 @@ def render_frame(
         ('room-10000000', torch.Size([3, 16, 16]), torch.Size([8, 16]))
     """
     seed = track.seed(number)
-    recipe = track if size.image_rows is None else track.smaller(size.image_rows)
-    rig, name = recipe.rig.make(seed), track.frame_name(number)
+    rig, name = track.make_rig(seed, size.image_rows), track.frame_name(number)
     world = World(
         rig,
         track.kind,
@@ -122,7 +121,7 @@ def render_frame(
         frame.inverse_depth(vertices),
         frame.inverse_depth(around),
         render_directions(frame.scene, rig.center, vertices),
-        tuple(recipe.rig.tilted(tilt).make(seed) for tilt in track.shared_tilts_deg),
+        tuple(track.make_rig(seed, size.image_rows, tilt) for tilt in track.shared_tilts_deg),
     )
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from typing import Literal
 
 import torch
 
@@ -18,47 +19,9 @@ from sphericalvision.scenes.random_rigs import random_rig
 from sphericalvision.scenes.registry import kind_of, scene_kinds
 from sphericalvision.scenes.world import HELD_OUT_SEED
 
-__all__ = ["GROUPS", "TRACKS", "RigRecipe", "Track", "chosen_tracks"]
+__all__ = ["GROUPS", "TRACKS", "Track", "chosen_tracks"]
 
 TILTS_DEG = (0.0, 15.0, 30.0, 45.0)
-
-
-@dataclass(frozen=True)
-class RigRecipe:
-    """Cameras of a track, around the origin.
-
-    Attributes:
-        kind: "ring", "panoramas", "corners" (of a vehicle) or "random", another one for each frame.
-        num_cameras: of a ring.
-        radius: metres.
-        tilt_deg: by which every camera looks further down.
-        image_rows: of fisheyes, which are square; panoramas have as many pixels in a degree.
-    """
-
-    kind: str = "ring"
-    num_cameras: int = 4
-    radius: float = 0.2
-    tilt_deg: float = 0.0
-    image_rows: int = 256
-
-    def tilted(self, tilt_deg: float) -> RigRecipe:
-        """The same rig at another tilt."""
-        return replace(self, tilt_deg=tilt_deg)
-
-    def make(self, seed: int) -> CameraRig:
-        """The rig of a frame."""
-        check_choice("kind", self.kind, ("ring", "panoramas", "corners", "random"))
-        size = (self.image_rows, self.image_rows)
-        if self.kind == "random":
-            return random_rig(torch.Generator().manual_seed(seed), image_size=size)
-        if self.kind == "panoramas":
-            rows = round(self.image_rows * 180 / 220 / 8) * 8
-            rig = make_panorama_ring(self.num_cameras, self.radius, (rows, 2 * rows))
-        elif self.kind == "corners":
-            rig = make_corner_rig(image_size=size)
-        else:
-            rig = make_ring(self.num_cameras, self.radius, size)
-        return rig.rotated(tilt=math.radians(self.tilt_deg)) if self.tilt_deg else rig
 
 
 @dataclass(frozen=True)
@@ -69,7 +32,10 @@ class Track:
         name: of its row, files and folders.
         group: tracks that belong together.
         kind: of scenes; ``"all"`` takes turns through every kind.
-        rig: the cameras.
+        rig: around the origin: "ring", "panoramas", "corners" (of a vehicle) or "random", another one for each frame.
+        num_cameras: of a ring.
+        radius: of a ring, metres.
+        tilt_deg: by which every camera looks further down.
         disturbance: of images and poses.
         carrier: what carries the rig and is in view; none when not given.
         masked: whether the rig is told where its carrier is in the images.
@@ -81,7 +47,10 @@ class Track:
     name: str
     group: str
     kind: str = "all"
-    rig: RigRecipe = field(default_factory=RigRecipe)
+    rig: Literal["ring", "panoramas", "corners", "random"] = "ring"
+    num_cameras: int = 4
+    radius: float = 0.2
+    tilt_deg: float = 0.0
     disturbance: CameraDisturbance = field(default_factory=CameraDisturbance)
     carrier: str | None = None
     masked: bool = False
@@ -101,59 +70,58 @@ class Track:
             return mesh_files(list(self.meshes)).name(seed)
         return f"{kind_of(self.kind, seed)}-{seed:08d}"
 
-    def smaller(self, image_rows: int) -> Track:
-        """The track with smaller images, for tests."""
-        return replace(self, rig=replace(self.rig, image_rows=image_rows))
+    def make_rig(self, seed: int, image_rows: int = 256, tilt_deg: float | None = None) -> CameraRig:
+        """The rig of a frame.
+
+        Args:
+            seed: of the frame.
+            image_rows: of fisheyes, which are square; panoramas have as many pixels in a degree.
+            tilt_deg: in place of the track's own.
+        """
+        size = (image_rows, image_rows)
+        if self.rig == "random":
+            return random_rig(torch.Generator().manual_seed(seed), image_size=size)
+        if self.rig == "panoramas":
+            rows = round(image_rows * 180 / 220 / 8) * 8
+            rig = make_panorama_ring(self.num_cameras, self.radius, (rows, 2 * rows))
+        elif self.rig == "corners":
+            rig = make_corner_rig(image_size=size)
+        else:
+            rig = make_ring(self.num_cameras, self.radius, size)
+        tilt = self.tilt_deg if tilt_deg is None else tilt_deg
+        return rig.rotated(tilt=math.radians(tilt)) if tilt else rig
 
 
-def _scenes() -> list[Track]:
-    kinds = ("room", "floating", "mixed", *scene_kinds()[2:])
-    return [Track(kind, "scenes", kind) for kind in kinds]
+SLIGHT, LARGE = math.radians(0.3), math.radians(1.0)
+DISTURBANCE_TRACKS = {
+    "clean": CameraDisturbance(),
+    "grey": CameraDisturbance(grey=True),
+    "exposure": CameraDisturbance(exposure=0.7, white_balance=0.15),
+    "noise": CameraDisturbance(noise=0.03),
+    "vignetting": CameraDisturbance(vignetting=0.6),
+    "blur": CameraDisturbance(blur=1.0),
+    "pose_0.3": CameraDisturbance(pose_error=SLIGHT),
+    "pose_1.0": CameraDisturbance(pose_error=LARGE),
+}
+TOGETHER = CameraDisturbance(True, 0.4, 0.5, 0.4, 0.1, 0.02, SLIGHT)
 
-
-def _tilts() -> list[Track]:
-    return [
-        Track(f"tilt_{tilt:.0f}", "tilts", rig=RigRecipe(tilt_deg=tilt), shared_tilts_deg=TILTS_DEG)
-        for tilt in TILTS_DEG
-    ]
-
-
-def _rigs() -> list[Track]:
-    numbers = [Track(f"cameras_{n}", "rigs", rig=RigRecipe(num_cameras=n)) for n in (2, 3, 5, 6)]
-    radii = [Track(f"radius_{100 * r:.0f}cm", "rigs", rig=RigRecipe(radius=r)) for r in (0.1, 0.3, 0.4)]
-    corners = RigRecipe("corners")
-    return [
-        *numbers,
-        *radii,
-        Track("random", "rigs", rig=RigRecipe("random")),
-        Track("panoramas", "rigs", rig=RigRecipe("panoramas")),
-        Track("ugv", "rigs", rig=corners, carrier="vehicle"),
-        Track("ugv_masked", "rigs", rig=corners, carrier="vehicle", masked=True),
-    ]
-
-
-def _disturbances() -> list[Track]:
-    slight, large = math.radians(0.3), math.radians(1.0)
-    ways = {
-        "clean": CameraDisturbance(),
-        "grey": CameraDisturbance(grey=True),
-        "exposure": CameraDisturbance(exposure=0.7, white_balance=0.15),
-        "noise": CameraDisturbance(noise=0.03),
-        "vignetting": CameraDisturbance(vignetting=0.6),
-        "blur": CameraDisturbance(blur=1.0),
-        "pose_0.3": CameraDisturbance(pose_error=slight),
-        "pose_1.0": CameraDisturbance(pose_error=large),
-    }
-    together = CameraDisturbance(True, 0.4, 0.5, 0.4, 0.1, 0.02, slight)
-    return [
-        *(Track(name, "disturbances", disturbance=way) for name, way in ways.items()),
+TRACKS: dict[str, Track] = {
+    track.name: track
+    for track in (
+        *(Track(kind, "scenes", kind) for kind in ("room", "floating", "mixed", *scene_kinds()[2:])),
+        *(Track(f"tilt_{t:.0f}", "tilts", tilt_deg=t, shared_tilts_deg=TILTS_DEG) for t in TILTS_DEG),
+        *(Track(f"cameras_{n}", "rigs", num_cameras=n) for n in (2, 3, 5, 6)),
+        *(Track(f"radius_{100 * r:.0f}cm", "rigs", radius=r) for r in (0.1, 0.3, 0.4)),
+        Track("random", "rigs", rig="random"),
+        Track("panoramas", "rigs", rig="panoramas"),
+        Track("ugv", "rigs", rig="corners", carrier="vehicle"),
+        Track("ugv_masked", "rigs", rig="corners", carrier="vehicle", masked=True),
+        *(Track(name, "disturbances", disturbance=way) for name, way in DISTURBANCE_TRACKS.items()),
         Track("carrier", "disturbances", carrier="robot"),
         Track("carrier_masked", "disturbances", carrier="robot", masked=True),
-        Track("together", "disturbances", disturbance=together, carrier="pole"),
-    ]
-
-
-TRACKS: dict[str, Track] = {t.name: t for t in (*_scenes(), *_tilts(), *_rigs(), *_disturbances())}
+        Track("together", "disturbances", disturbance=TOGETHER, carrier="pole"),
+    )
+}
 """All tracks by name; meshes of one's own make one more."""
 
 GROUPS = tuple(dict.fromkeys(track.group for track in TRACKS.values()))

@@ -8,10 +8,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import cv2
 import torch
 from joblib import Parallel, delayed
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from sphericalvision.capture.estimating import threads_kept
 from sphericalvision.capture.preparation.preparation import Preparation
@@ -21,20 +20,37 @@ from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.cli import console
 from sphericalvision.recipes.evaluation.loop import evaluate, records_of
 from sphericalvision.recipes.evaluation.methods import SCALE, Method, make_methods
-from sphericalvision.recipes.evaluation.pictures import DrawnFrame, Picture, color_picture
-from sphericalvision.recipes.evaluation.places import FrameTruth, PlaceErrors
+from sphericalvision.recipes.evaluation.pictures import (
+    DrawnFrame,
+    camera_picture,
+    color_picture,
+    frames_sheet,
+)
+from sphericalvision.recipes.evaluation.places import KEPT, REGIONS, FrameTruth, PlaceErrors
 from sphericalvision.recipes.evaluation.records import Record, read_json, write_json
+from sphericalvision.recipes.evaluation.results import Results
+from sphericalvision.recipes.evaluation.tables import Cell, Row, Table, save_report, summarize
 from sphericalvision.recipes.evaluation.track_frames import NATURAL_SIZE, Size, TrackFrames
 from sphericalvision.recipes.evaluation.tracks import TRACKS, Track, chosen_tracks
-from sphericalvision.recipes.study.benchmark_tables import Results, report
-from sphericalvision.viz import sheet
 from sphericalvision.viz.panorama import icosphere_to_panorama
 
 __all__ = ["compare", "run_track", "scores"]
 
 
-def compare(config: DictConfig, folder: Path) -> dict[str, dict[str, Record]]:
-    """Measure what is missing, write tables and pictures; returns the records by track and method."""
+BY_TRACK: dict[str, tuple[str, str, int]] = {
+    "MAE at {coarse}": ("MAE at {coarse}", "coarse all MAE", 2),
+    "MAE at {fine}": ("MAE at {fine}", "fine all MAE", 2),
+    "MAE on a panorama": ("MAE on a panorama, by solid angle", "panorama MAE", 2),
+    "Points off by more than 1 %": ("Points off by more than 1 % at {coarse}", "coarse all >1", 2),
+    "RMS at {coarse}": ("RMS at {coarse}", "coarse all RMS", 2),
+    "Relative error": ("Mean relative error of the depth in metres, AbsRel, at {coarse}", "metres AbsRel", 3),
+    "Within a factor of 1.25": ("Share of depths within a factor 1.25 at {coarse}", "metres d<1.25", 3),
+}
+"""Tables of tracks by methods: heading -> title, which of the errors, and its digits."""
+
+
+def compare(config: DictConfig, folder: Path) -> Results:
+    """Measure what is missing, write tables and pictures; returns what was measured."""
     node = config.benchmark
     preparation = Preparation(node.photometric, node.align)
     size = Size(node.level, node.panorama_rows, node.image_rows, node.samples_per_pixel, preparation)
@@ -46,21 +62,78 @@ def compare(config: DictConfig, folder: Path) -> dict[str, dict[str, Record]]:
     sets = [TrackFrames(track, numbers, size, cache) for track in tracks]
     console.print(f"{len(tracks)} tracks, {node.frames} scenes each, {len(methods)} methods", highlight=False)
     processes = Parallel(n_jobs=max(1, node.workers), return_as="generator")
-    for summary in processes(
-        delayed(_measure)(frames, words, folder, config.panel_height) for frames in sets
-    ):
-        console.print(summary, highlight=False)
-    measure = PlaceErrors(size.level)
-    results = {
-        frames.name: {
-            name: record.only(frames.names)
-            for name, record in records_of(methods, frames, measure, folder).items()
-        }
-        for frames in sets
+    measured = processes(delayed(_measure)(frames, words, folder, config.panel_height) for frames in sets)
+    records: dict[str, dict[str, Record]] = {}
+    for frames, of_track in zip(sets, measured, strict=True):
+        records[frames.name] = of_track
+        means = {name: record.means["coarse"]["all"]["MAE"] for name, record in of_track.items()}
+        shown = (f"{name} {'–' if mean is None else f'{mean:.2f}'}" for name, mean in means.items())
+        console.print(f"{frames.name}: MAE {', '.join(shown)}", highlight=False)
+    results = Results(methods, records)
+    pictures = {track.name: f"pages/{track.name}.png" for track in tracks}
+    content = {
+        "config": OmegaConf.to_container(config, resolve=True, throw_on_missing=False),
+        "results": results.plain(),
     }
-    report(folder, Results(tracks, [method.name for method in methods], results, size.level))
-    print(f"Results are in {folder}: benchmark.md, benchmark.json, index.html, pages")
+    title = "Benchmark of depth methods"
+    save_report(folder, "benchmark", title, benchmark_tables(results, tracks, size.level), pictures, content)
     return results
+
+
+def benchmark_tables(results: Results, tracks: Sequence[Track], level: int) -> dict[str, Table]:
+    """The tables by their headings; that of tilts only where there are such tracks."""
+    levels = {"coarse": f"level {level - 2}", "fine": f"level {level}"}
+    tables = {
+        heading.format(**levels): results.by_method(title.format(**levels), "track", path, digits)
+        for heading, (title, path, digits) in BY_TRACK.items()
+    }
+    names = [track.name for track in tracks]
+    rows: list[Row] = []
+    for region in REGIONS[:-1]:
+        errors = [results.cell(label, f"fine {region} MAE", 2, *names) for label in results.labels]
+        rows.append([region, results.cell(results.labels[0], f"points {region}", 1, *names), *errors])
+    title = (
+        f"MAE at {levels['fine']} by kind of place: mean over the frames of all tracks that have such places."
+    )
+    tables["By kind of place"] = Table(title, ("place", "% of points", *results.labels), [rows])
+    tilts = {f"{track.tilt_deg:g}°": track.name for track in tracks if track.shared_tilts_deg}
+    if len(tilts) > 1:
+        title = f"MAE at {levels['coarse']} of the same points, those that two cameras see at every tilt, and ratios."
+        tables["Against tilt"] = results.against(title, "coarse shared MAE", tilts)
+    rows = []
+    for label in results.labels:
+        every, *surest = (results.means(label, f"kept {share:g}", *names)[0] for share in KEPT)
+        rows.append([label, summarize([every]), *(summarize([value / every]) for value in surest)])
+    columns = ("method", "MAE of all", *(f"surest {100 * share:g} %" for share in KEPT[1:]))
+    title = (
+        f"MAE at {levels['coarse']} of the points of which a method is surest, as a ratio to that of all; "
+        "mean over tracks."
+    )
+    tables["Of the surest points"] = Table(title, columns, [rows])
+    tables["Cost of a frame"] = _cost(results)
+    return tables
+
+
+def _cost(results: Results) -> Table:
+    rows: list[Row] = []
+    for method in results.methods:
+        costs = (records[method.name].cost for records in results.records.values())
+        cost = next(filter(None, costs), {"parameters": None, "gflop": None})
+        number, operations = cost["parameters"], cost["gflop"]
+        seconds = results.errors(method, "seconds", *results.records)
+        rows.append(
+            [
+                method.label,
+                None if number is None else f"{number:,}",
+                None if operations is None else Cell(operations, digits=1),
+                sorted(seconds)[len(seconds) // 2] if seconds else None,
+            ]
+        )
+    title = (
+        "What a frame takes: operations of matrices and convolutions in the reference kernels, and CPU seconds on "
+        "one thread (median)."
+    )
+    return Table(title, ("method", "parameters", "GFLOP", "CPU s"), [rows])
 
 
 def scores(
@@ -105,39 +178,29 @@ def run_track(frames: TrackFrames, methods: Sequence[Method], folder: Path | Non
         return evaluate(methods, frames, measure, records, count_cost=True)
 
 
-def _measure(frames: TrackFrames, words: tuple[str, ...], folder: Path, rows: int) -> str:
-    """Measure a track and draw its page; returns a line about it."""
+def _measure(frames: TrackFrames, words: tuple[str, ...], folder: Path, rows: int) -> dict[str, Record]:
+    """Measure a track and draw its page; returns the records of its frames by method."""
     records = run_track(frames, _methods(words, frames.size.level, folder), folder)
     place = folder / "pages" / f"{frames.track.name}.png"
     key = {name: record.key for name, record in records.items()} | {"rows": rows, "frames": frames.drawn}
     if not (place.is_file() and _key_of(place) == key):
-        write_image(place, sheet([_drawn(frames, name, records, rows) for name in frames.drawn]))
+        write_image(place, frames_sheet({name: _drawn(frames, name, records, rows) for name in frames.drawn}))
         write_json(place.with_suffix(".json"), key)
-    means = {
-        name: record.only(frames.names).means["coarse"]["all"]["MAE"] for name, record in records.items()
-    }
-    shown = (f"{name} {'–' if mean is None else f'{mean:.2f}'}" for name, mean in means.items())
-    return f"{frames.track.name}: MAE {', '.join(shown)}"
+    return {name: record.only(frames.names) for name, record in records.items()}
 
 
-def _drawn(frames: TrackFrames, name: str, records: Mapping[str, Record], rows: int) -> Picture:
-    """A camera as methods get it, what there is to see, the truth, depth by method, and errors."""
+def _drawn(frames: TrackFrames, name: str, records: Mapping[str, Record], rows: int) -> DrawnFrame:
     frame = frames.frame(name)
     truth = FrameTruth(frame)
     camera = frame.rig.names[0]
-    image = color_picture(frame.images[camera] * frame.rig.masks.get(camera, torch.tensor(1.0)))
-    width = min(2 * rows, round(rows * image.shape[1] / image.shape[0]))
-    drawn = DrawnFrame(
+    return DrawnFrame(
+        camera_picture(frame.images[camera] * frame.rig.masks.get(camera, torch.tensor(1.0)), rows),
         color_picture(icosphere_to_panorama(frame.colors, rows)),
         truth.index.where(truth.valid, torch.nan),
         truth.regions["all"],
         {method: record.drawn[name] for method, record in records.items()},
         SCALE,
     )
-    small = cv2.resize(image, (width, rows), interpolation=cv2.INTER_AREA)
-    depths = drawn.depths()
-    pictures = {"first camera": small, name: depths.pop("view"), **depths, **drawn.errors()}
-    return sheet(pictures, columns=3)
 
 
 def _key_of(page: Path) -> object:

@@ -7,23 +7,29 @@ goes to one folder, and what is there already is not done again: the same comman
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import pytorch_lightning as pl
 from annotated_types import Ge, MinLen
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from pydantic import with_config
 from typing_extensions import TypedDict
 
 from sphericalvision.core import ArgumentError
+from sphericalvision.io.images import write_image
 from sphericalvision.recipes.app.cli import choose_device, console, print_config
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Number, OnlyWith, Size, Text
 from sphericalvision.recipes.evaluation.loop import evaluate, records_of
+from sphericalvision.recipes.evaluation.pictures import DrawnFrame, frames_sheet
 from sphericalvision.recipes.evaluation.protocols import Protocols
+from sphericalvision.recipes.evaluation.records import Record
+from sphericalvision.recipes.evaluation.results import Results
+from sphericalvision.recipes.evaluation.tables import save_report
 from sphericalvision.recipes.study.benchmark import compare
 from sphericalvision.recipes.study.models import methods_of, scale_of, study_models
-from sphericalvision.recipes.study.report import Evaluated, report
+from sphericalvision.recipes.study.report import angle_plot, drawn_frame, study_tables
 from sphericalvision.recipes.study.training import Training, check_alike, train_all
 from sphericalvision.recipes.study.views import view_frames, views
 
@@ -80,12 +86,12 @@ class StudyKeys(TypedDict, total=False):
     benchmark: BenchmarkKeys
 
 
-def run(config: Annotated[DictConfig, StudyKeys], folder: Path) -> Any:
+def run(config: Annotated[DictConfig, StudyKeys], folder: Path) -> Results:
     """The study, or with ``preset=benchmark`` the benchmark of methods."""
     return compare(config, folder) if "benchmark" in config else study(config, folder)
 
 
-def study(config: DictConfig, folder: Path) -> list[dict[str, Any]]:
+def study(config: DictConfig, folder: Path) -> Results:
     """Train, evaluate and report as ``config`` says; returns the results of all models, seeds and views.
 
     Raises:
@@ -109,7 +115,8 @@ def study(config: DictConfig, folder: Path) -> list[dict[str, Any]]:
             "models: nothing is trained yet, so there is nothing to report; leave out train=false"
         )
     measure = Protocols(scale_of(config), config.model.level - 2, choose_device(config.device))
-    evaluated = []
+    all_records: dict[str, Mapping[str, Record]] = {}
+    drawn: dict[str, DrawnFrame] = {}
     for view in all_views:
         frames = view_frames(config, view)
         records = records_of(methods, frames, measure, folder)
@@ -117,7 +124,19 @@ def study(config: DictConfig, folder: Path) -> list[dict[str, Any]]:
         evaluate(methods, frames, measure, records)
         for method in methods:  # at level 7 tables of a rig are hundreds of megabytes for each seed
             method.forget_rigs()
-        evaluated.append(
-            Evaluated(view, frames.samples, {name: r.only(frames.names) for name, r in records.items()})
-        )
-    return report(config, folder, models, methods, evaluated, trainings, notes)
+        all_records[view.name] = {name: record.only(frames.names) for name, record in records.items()}
+        if view.inputs == "fisheye":
+            drawn[f"{view.angle_deg:g} degrees"] = drawn_frame(config, frames, methods, records)
+    results = Results(methods, all_records)
+    write_image(folder / "errors_against_angle.png", angle_plot(results, all_views, config.num_hypotheses))
+    write_image(folder / "panels.png", frames_sheet(drawn))
+    tables = study_tables(results, config, all_views)
+    pictures = {"Error against angle": "errors_against_angle.png", "Depth maps": "panels.png"}
+    content = {
+        "config": OmegaConf.to_container(config, resolve=True, throw_on_missing=False),
+        "notes": notes,
+        "trainings": [{"name": t.name, "words": t.words, "config": t.config} for t in trainings if t.is_done],
+        "results": results.plain(),
+    }
+    save_report(folder, "study", "Study", tables, pictures, content)
+    return results

@@ -73,7 +73,11 @@ def view_frames(config: DictConfig, view: View) -> SampleFrames:
     if not 0 <= config.panel_frame < number:
         raise ArgumentError(f"panel_frame: expected 0 to {number - 1}, got {config.panel_frame}")
     return SampleFrames(
-        data, Subset(frames, range(number)), view.name, [config.panel_frame], view_key(config, view)
+        lambda numbers: data.loader(Subset(frames, numbers)),
+        number,
+        view.name,
+        [config.panel_frame],
+        view_key(config, view),
     )
 
 

@@ -20,7 +20,7 @@ from sphericalvision.data import SampleView, ToSphere, collate_samples
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep, WinnerTakesAll
 from sphericalvision.models.depth_network import DepthEstimate
-from sphericalvision.recipes.evaluation.frames import BatchFrames
+from sphericalvision.recipes.evaluation.frames import SampleFrames
 from sphericalvision.recipes.evaluation.loop import VertexErrors, evaluate, mean_errors_by_method
 from sphericalvision.recipes.evaluation.methods import Answer, AsUsed, Method, Scale, photographs_of
 from sphericalvision.recipes.evaluation.records import Record
@@ -125,17 +125,21 @@ def test_masks_reach_the_network(frames: dict[str, Any]) -> None:
     assert (as_used(NET, frames) - as_used(NET, frames, masked=masked)).abs().mean() > 0.1
 
 
+def in_batches(*batches: dict[str, Any]) -> SampleFrames:
+    return SampleFrames(lambda numbers: batches, sum(len(batch["valid"]) for batch in batches))
+
+
 def test_errors_of_confident_points_say_how_many_they_are(frames: dict[str, Any]) -> None:
     net = Constant()
     some, everything = (Method(str(least), net, least) for least in (0.6, 0.0))
     measure = VertexErrors(Scale(8, 0.5), 2)
-    errors = mean_errors_by_method(evaluate([some, everything], BatchFrames(frames), measure))
+    errors = mean_errors_by_method(evaluate([some, everything], in_batches(frames), measure))
     north = index(some, frames).isfinite()
     expected = (100 * (north & frames["valid"]).sum(-1) / frames["valid"].sum(-1)).mean()
     assert errors["0.6"]["kept"] == pytest.approx(float(expected))
     assert errors["0.0"]["kept"] == 100
     assert 20 < errors["0.6"]["kept"] < 80
-    alone = mean_errors_by_method(evaluate([everything], BatchFrames(frames), measure))
+    alone = mean_errors_by_method(evaluate([everything], in_batches(frames), measure))
     assert "kept" not in alone["0.0"]
 
 
@@ -159,12 +163,11 @@ def test_frames_that_are_recorded_are_not_asked_for_again(frames: dict[str, Any]
     def record(key: dict[str, Any]) -> Record:
         return Record(tmp_path / "net.json", key)
 
-    first = evaluate(methods, BatchFrames(frames), measure, {"net": record({"n": 1})})["net"]
+    first = evaluate(methods, in_batches(frames), measure, {"net": record({"n": 1})})["net"]
     assert list(first.frames) == ["0", "1"]
     assert record({"n": 1}).means == first.means
     assert record({"n": 2}).frames == {}
-    nothing = BatchFrames()
-    nothing.names = ["0", "1"]
+    nothing = SampleFrames(lambda numbers: [], 2)
     again = evaluate(methods, nothing, measure, {"net": record({"n": 1})})["net"]
     assert again.means == first.means
     (tmp_path / "net.json").write_text("{")

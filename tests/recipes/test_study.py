@@ -16,64 +16,76 @@ import numpy as np
 import pytest
 import torch
 from hydra import compose, initialize_config_module
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import write_omnistereo
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image
-from sphericalvision.models import save_weights
+from sphericalvision.models import WinnerTakesAll, save_weights
 from sphericalvision.recipes.app.cli import build, print_config
 from sphericalvision.recipes.app.rigs import make_ring
 from sphericalvision.recipes.commands import train as train_command
 from sphericalvision.recipes.evaluation.loop import errors_of_frame
 from sphericalvision.recipes.evaluation.methods import Answer, Method, Scale
-from sphericalvision.recipes.evaluation.pictures import DrawnFrame
+from sphericalvision.recipes.evaluation.pictures import DrawnFrame, frames_sheet
 from sphericalvision.recipes.evaluation.protocols import Protocols
-from sphericalvision.recipes.evaluation.records import write_json
+from sphericalvision.recipes.evaluation.records import Record, write_json
+from sphericalvision.recipes.evaluation.results import Results
 from sphericalvision.recipes.evaluation.tables import Table, save_report
 from sphericalvision.recipes.study.models import study_models
-from sphericalvision.recipes.study.report import angle_plot, panel_sheet
-from sphericalvision.recipes.study.study_tables import study_tables
+from sphericalvision.recipes.study.report import angle_plot, study_tables
 from sphericalvision.recipes.study.training import training_config, training_words
 from sphericalvision.recipes.study.views import View, view_frames
 from tests.recipes.tiny import Run, composed
 from tests.worlds import recorded_frames
 
-ANGLES = (0.0, 45.0)
+CONFIG = OmegaConf.create({"num_hypotheses": 16, "model": {"level": 5}})
+VIEWS = [View("fisheye", 0.0), View("fisheye", 45.0)]
 
 
-def result(label: str, seed: int | None, angle: float, mae: float, inputs: str = "fisheye") -> dict[str, Any]:
-    """What the JSON of one evaluation holds, every number made from ``mae``."""
+def record(mae: float, angle: float = 0.0, **others: Any) -> Record:
+    """64 frames of one evaluation, every number made from ``mae``."""
     index = {">1": 10 * mae, ">3": 3 * mae, ">5": 2 * mae, "MAE": mae, "RMS": 4 * mae}
     protocols = ("paper", "all", "solid_angle", "omnimvs", "seam", "off_seam")
     protocols += ("above", "around", "below", "two", "three", "four")
-    return {
-        "label": label,
-        "seed": seed,
-        "inputs": inputs,
-        "angle_deg": angle,
-        "level": 5,
-        "num_hypotheses": 16,
-        "num_frames": 64,
-        "errors": {
-            **dict.fromkeys(protocols, index),
-            "depth": {"AbsRel": mae / 10, "RMSE": mae, "d<1.25": 0.9},
-            "points": {"left_out": angle / 3, "unknown": 0.0},
-        },
+    errors = {
+        **dict.fromkeys(protocols, index),
+        "depth": {"AbsRel": mae / 10, "RMSE": mae, "d<1.25": 0.9},
+        "points": {"left_out": angle / 3, "unknown": 0.0},
     }
+    result = Record()
+    for frame in range(64):
+        result.add(str(frame), errors | others)
+    return result
 
 
-RESULTS = [
-    *(result("IcoSweepNet", seed, angle, 1.0 + seed) for angle in ANGLES for seed in (0, 1)),
-    *(
-        result("OmniMVS", seed, angle, (1.0 + seed) * (3 if angle else 1))
-        for angle in ANGLES
-        for seed in (0, 1)
-    ),
-    *(result("sweep_1", None, angle, 5.0) for angle in ANGLES),
-]
+def results_of(*more: View, **others: Any) -> Results:
+    """Of two networks with two seeds each, and of a sweep, in level and tilted views."""
+    seeds = [(label, seed) for label in ("IcoSweepNet", "OmniMVS") for seed in (0, 1)]
+    methods = [
+        Method(f"{label}/seed{seed}", WinnerTakesAll(2, 4), label=label, seed=seed) for label, seed in seeds
+    ]
+    methods.append(Method("sweep_1", WinnerTakesAll(2, 4)))
+    records = {
+        view.name: {
+            **{
+                f"{label}/seed{seed}": record(
+                    (1.0 + seed) * (3 if view.angle_deg and label == "OmniMVS" else 1),
+                    view.angle_deg,
+                    **others,
+                )
+                for label, seed in seeds
+            },
+            "sweep_1": record(5.0, view.angle_deg, **others),
+        }
+        for view in (*VIEWS, *more)
+    }
+    return Results(methods, records)
+
+
+RESULTS = results_of()
 ABOUT = "64 frames, vertices of level 3 that two or more cameras see, mean ± standard deviation over 2 seeds"
 
 
@@ -84,7 +96,7 @@ def cells(table: Table, row: int) -> list[str]:
 
 def test_the_papers_table_from_known_numbers() -> None:
     """A header, four rows of two networks and two of the sweep."""
-    table = study_tables(RESULTS)["table"]
+    table = study_tables(RESULTS, CONFIG, VIEWS)["table"]
     assert cells(table, 0) == [
         *("0°", "IcoSweepNet", "15.00 ± 7.07", "4.50 ± 2.12", "3.00 ± 1.41", "1.50 ± 0.71", "6.00 ± 2.83")
     ]
@@ -102,37 +114,36 @@ def test_the_papers_table_from_known_numbers() -> None:
 
 def test_the_other_tables_from_known_numbers() -> None:
     """Ratios are taken within a seed: both seeds of OmniMVS grow threefold, so there is no spread."""
-    change = study_tables(RESULTS)["change"]
-    assert change.columns == ("model", "0°", "45°")
+    change = study_tables(RESULTS, CONFIG, VIEWS)["change"]
+    assert change.columns == ("model", "0°", "45°", "45° / 0°")
     assert [cells(change, row)[1:] for row in range(3)] == [
-        ["1.000", "1.000"],
-        ["1.000", "3.000"],
-        ["1.000", "1.000"],
+        ["1.50 ± 0.71", "1.50 ± 0.71", "1.000"],
+        ["1.50 ± 0.71", "4.50 ± 2.12", "3.000"],
+        ["5.00", "5.00", "1.000"],
     ]
-    details = study_tables(RESULTS)["details"]
+    details = study_tables(RESULTS, CONFIG, VIEWS)["details"]
     mae = "1.50 ± 0.71"
     assert cells(details, 0) == ["0°", "IcoSweepNet", "0.150 ± 0.071", mae, "0.900", *[mae] * 5, "0.0"]
-    assert cells(study_tables(RESULTS)["where"], 0) == ["0°", "IcoSweepNet", *[mae] * 6]
-    both = [*RESULTS, result("IcoSweepNet", 0, 0.0, 7.0, "equirect")]
-    assert study_tables(both)["table"].rows == study_tables(RESULTS)["table"].rows
-    assert cells(study_tables(both)["inputs"], 0)[:3] == ["IcoSweepNet", "fisheye", "15.00 ± 7.07"]
-    assert cells(study_tables(both)["inputs"], 1) == [
-        "IcoSweepNet",
-        "equirect",
-        "70.00",
-        "21.00",
-        "14.00",
-        "7.00",
-        "28.00",
-    ]
+    assert cells(study_tables(RESULTS, CONFIG, VIEWS)["where"], 0) == ["0°", "IcoSweepNet", *[mae] * 6]
+    panoramas = View("equirect", 0.0)
+    both = study_tables(results_of(panoramas), CONFIG, [*VIEWS, panoramas])
+    assert both["table"].rows == study_tables(RESULTS, CONFIG, VIEWS)["table"].rows
+    assert "inputs" not in study_tables(RESULTS, CONFIG, VIEWS)
+    assert cells(both["inputs"], 0)[:3] == ["fisheye", "IcoSweepNet", "15.00 ± 7.07"]
+    assert cells(both["inputs"], 5) == ["equirect", "sweep_1", "50.00", "15.00", "10.00", "5.00", "20.00"]
 
 
 def test_what_is_not_measured_is_a_dash() -> None:
-    missing = result("IcoSweepNet", 0, 0.0, 1.0)
-    missing["errors"] = {**missing["errors"], "seam": {"MAE": None}}
-    table = study_tables([missing])["details"]
+    table = study_tables(results_of(seam={"MAE": None}), CONFIG, VIEWS)["details"]
     assert "| – |" in table.markdown()
     assert ",,," in table.csv()
+
+
+def test_methods_as_columns_have_an_interval_and_the_best_is_bold() -> None:
+    table = RESULTS.by_method("MAE", "view", "paper MAE", 2)
+    assert table.columns == ("view", "IcoSweepNet", "IcoSweepNet", "OmniMVS", "OmniMVS", "sweep_1")
+    assert cells(table, 1)[:2] == ["fisheye-45deg", "**1.00** (1.00–1.00)"]
+    assert cells(table, 1)[4:] == ["6.00 (6.00–6.00)", "5.00 (5.00–5.00)"]
 
 
 SCALE = Scale(num_hypotheses=8, min_depth=0.55)
@@ -223,34 +234,25 @@ def test_pictures_show_and_fade() -> None:
     vertices = Icosphere(2).vertices
     truth = 4 + 2 * vertices[:, 1]
     view = np.full((40, 80, 3), 200, np.uint8)
-    frame = DrawnFrame(view, truth, vertices[:, 1] >= 0, {"a": truth + 1}, Scale(8, 0.55))
+    frame = DrawnFrame(view, view, truth, vertices[:, 1] >= 0, {"a": truth + 1}, Scale(8, 0.55))
     plain = frame._replace(counts=torch.ones_like(frame.counts))
-    assert list(frame.depths()) == ["view", "truth", "a: MAE 12.50"]
-    for some, every in ((frame.depths(), plain.depths()), (frame.errors(), plain.errors())):
-        above, below = (
-            np.ptp(p[rows], axis=-1).mean()
-            for p in ([*some.values()][-1],)
-            for rows in (slice(20), slice(20, 40))
-        )
-        up, down = (
-            np.ptp(p[rows], axis=-1).mean()
-            for p in ([*every.values()][-1],)
-            for rows in (slice(20), slice(20, 40))
-        )
-        assert above < 0.5 * up
-        assert below > 0.9 * down
-    assert panel_sheet({"0°": frame, "45°": plain}).shape[-1] == 3
-    assert angle_plot(RESULTS).shape[-1] == 3
+    assert list(frame.pictures()) == ["first camera", "view", "truth", "a: MAE 12.50", "error of a"]
+    for title in ("a: MAE 12.50", "error of a"):
+        some, every = (np.ptp(each.pictures()[title], axis=-1) for each in (frame, plain))
+        assert some[:20].mean() < 0.5 * every[:20].mean()
+        assert some[20:].mean() > 0.9 * every[20:].mean()
+    assert frames_sheet({"0°": frame, "45°": plain}).shape[-1] == 3
+    assert angle_plot(RESULTS, VIEWS, 16).shape[-1] == 3
 
 
 def test_pages_show_names_as_they_are(tmp_path: Path) -> None:
     """Names of methods and tracks are those of files, which strangers may have chosen."""
     name = "</script><script>alert(1)</script> & __TABLE__"
     table = Table(f"of {name}", ("method", name), [[[name, 1.0]]])
-    save_report(tmp_path, "page", name, {name: table}, {name: 'pages/a &"b".png'})
+    save_report(tmp_path, "page", name, {"errors": table}, {name: 'pages/a &"b".png'}, [])
     page = (tmp_path / "index.html").read_text()
     assert "<script" not in page
-    assert page.count(html.escape(name)) == 6
+    assert page.count(html.escape(name)) == 5
     assert 'src="pages/a%20%26%22b%22.png"' in page
     assert "| method |" in (tmp_path / "page.md").read_text()
 
@@ -382,7 +384,7 @@ def test_weights_that_are_there_are_taken_by_seed(
     assert (only["seed"], only["label"]) == (7, "IcoSweepNet")
     run("study", *words, *ONLY, "models.icosweepnet=null", "checkpoint=ico-7.safetensors")
     (own,) = json.loads((tmp_path / "out/study.json").read_text())["results"]
-    assert (own["model"], own["label"], own["errors"]) == ("own", "ico-7", only["errors"])
+    assert (own["method"], own["label"], own["errors"]) == ("own", "ico-7", only["errors"])
 
 
 def test_images_on_disk_are_turned(
@@ -393,14 +395,14 @@ def test_images_on_disk_are_turned(
     disk = ("preset=tiny", "data=omnihouse", f"data.root={tmp_path / 'house'}", "data.test_split=all")
     run("study", *disk, "data.num_workers=0", "output=out")
     results = json.loads((tmp_path / "out/study.json").read_text())["results"]
-    left_out = {r["angle_deg"]: r["errors"]["points"]["left_out"] for r in results}
-    assert left_out[0.0] < 1
-    assert 10 < left_out[45.0] < 40
+    left_out = {r["frames"]: r["errors"]["points"]["left_out"] for r in results}
+    assert left_out["fisheye-0deg"] < 1
+    assert 10 < left_out["fisheye-45deg"] < 40
     config = composed("study", *disk[:2], f"data.root='{tmp_path / 'house'}'", disk[3])
-    sample = view_frames(config, View("fisheye", 45.0)).samples[0]
-    assert sample["fisheye"].shape == (4, 3, 32, 32)
-    assert (sample["fisheye"][:, :, 0, 0] == 0).all()
-    torch.testing.assert_close(sample["rig"].axes[0], torch.tensor([0.0, 0.5**0.5, 0.5**0.5]))
+    _, batch = next(view_frames(config, View("fisheye", 45.0)).batches(["0"]))
+    assert batch["fisheye"].shape == (1, 4, 3, 32, 32)
+    assert (batch["fisheye"][..., 0, 0] == 0).all()
+    torch.testing.assert_close(batch["rig"].select(0).axes[0], torch.tensor([0.0, 0.5**0.5, 0.5**0.5]))
 
 
 def test_mistakes_are_told(failing: Callable[..., str], words: tuple[str, ...], trainer: Trainer) -> None:

@@ -14,10 +14,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras import Camera, CameraRig
-from sphericalvision.capture.points import distance_along
 from sphericalvision.capture.preparation.preparation import Compensation, Correction
 from sphericalvision.core import ArgumentError, full_precision
 from sphericalvision.geometry.lookup import weighted_sums
+from sphericalvision.geometry.surfaces import distance_along
 from sphericalvision.icosphere import Icosphere, locate
 from sphericalvision.models import DepthNetwork
 from sphericalvision.sphere import Equirectangular

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where rays meet a surface whose depth is known all around one point."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+__all__ = ["distance_along"]
+
+STEPS, HALVINGS = 64, 12
+AT_ONCE = 2**19
+"""Points that are looked up together: an icosphere locates many faster than few."""
+FARTHEST = 1e4
+"""Nearest depths: beyond, a camera of the rig sees what its centre sees."""
+
+
+def distance_along(
+    rays: Float[Tensor, "n 3"],
+    start: Float[Tensor, " 3"],
+    inverse_depth: Callable[[Tensor], Tensor],
+    min_depth: float,
+) -> Float[Tensor, " n"]:
+    """Return the distance ``(n,)`` at which each ray first passes the surface; NaN where it never does.
+
+    A point p is behind the surface where |p| · w(p / |p|) > 1. A ray is followed in even steps of inverse distance, the
+    spacing of hypotheses, until a point is behind; the place is then halved in. Where nothing is known a ray goes on,
+    and meets nothing before it is in front again.
+
+    Args:
+        rays: ``(n, 3)`` unit directions.
+        start: ``(3,)`` of all rays, from the point that depth is measured around, metres.
+        inverse_depth: of the surface, 1/m, ``(n,)`` in unit directions ``(n, 3)``; NaN where nothing is known.
+        min_depth: metres; the surface is nowhere nearer.
+
+    Examples:
+        >>> ball = lambda directions: torch.full((len(directions),), 0.5)  # of 2 m
+        >>> distance_along(torch.eye(3), torch.tensor([1.0, 0.0, 0.0]), ball, min_depth=1.0).round(decimals=3)
+        tensor([1.0000, 1.7320, 1.7320])
+    """
+
+    def front_of(distances: Tensor, which: Tensor) -> Tensor:
+        """The share of the way to the surface that is left ``(*k, n)``: negative behind it, NaN where unknown."""
+        points = (start + distances[..., None] * rays[which]).reshape(-1, 3)
+        norm = points.norm(dim=-1)
+        share = 1 - norm * inverse_depth(points / norm.clamp(min=1e-9)[:, None])
+        return share.view(distances.shape)
+
+    nearest = max(min_depth - float(start.norm()), 0.05 * min_depth)
+    steps = 1 / torch.linspace(1 / nearest, 1 / (FARTHEST * min_depth), STEPS, dtype=torch.float64)
+    steps = torch.cat((steps.new_zeros(1), steps)).to(rays)
+    waiting = torch.arange(len(rays), device=rays.device)
+    in_front = torch.ones_like(
+        waiting, dtype=torch.bool
+    )  # rays of a rig's camera begin before the nearest surface
+    low, high = rays.new_full((2, len(rays)), math.nan)
+    first = 1
+    while first < len(steps) and len(waiting):
+        last = min(first + max(1, AT_ONCE // len(waiting)), len(steps))
+        ahead = front_of(steps[first:last, None].expand(-1, len(waiting)), waiting)
+        was = torch.cat((in_front[None], ahead[:-1] > 0))
+        met = was & (ahead <= 0)
+        which, hit = met.int().argmax(0) + first, met.any(0)
+        low[waiting[hit]], high[waiting[hit]] = steps[which[hit] - 1], steps[which[hit]]
+        waiting, in_front, first = waiting[~hit], (ahead[-1] > 0)[~hit], last
+    hits = high.isfinite().nonzero()[:, 0]
+    near, far = low[hits], high[hits]
+    for _ in range(HALVINGS):
+        middle = _between(near, far)
+        front = front_of(middle, hits) > 0
+        near, far = torch.where(front, middle, near), torch.where(front, far, middle)
+    distance = rays.new_full((len(rays),), math.nan)
+    distance[hits] = _between(near, far)
+    return distance
+
+
+def _between(near: Tensor, far: Tensor) -> Tensor:
+    """The middle in inverse distance, as the steps are spaced; the first step begins at zero, where there is none."""
+    return torch.where(near > 0, 2 / (1 / near.clamp(min=1e-9) + 1 / far), far / 2)

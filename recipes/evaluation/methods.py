@@ -30,6 +30,7 @@ from sphericalvision.models import (
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.datamodules.entries import images_of
 from sphericalvision.recipes.evaluation.frames import Batch
+from sphericalvision.recipes.evaluation.rectified_sgbm import RectifiedSGBM
 from sphericalvision.recipes.training.rig_tables import RigTables
 from sphericalvision.scenes import make_scene, ray_depth
 from sphericalvision.scenes.registry import kind_of
@@ -68,9 +69,10 @@ class Scale(NamedTuple):
 SCALE = Scale(16, NATURAL_MIN_DEPTH)
 """The hypotheses that errors are percentages of, for all methods alike."""
 
-SWEEPS: dict[str, type[SemiGlobalSweep] | type[WinnerTakesAll]] = {
+UNTRAINED: dict[str, Callable[[int, int, float], DepthNetwork]] = {
     "semi-global-sweep": SemiGlobalSweep,
     "winner-takes-all": WinnerTakesAll,
+    "rectified-sgbm": RectifiedSGBM,
 }
 """Methods without training."""
 
@@ -325,7 +327,8 @@ def make_method(word: str, level: int = 6, scale: Scale = SCALE, folder: Path | 
     """The method that a word stands for.
 
     Args:
-        word: "constant", "winner-takes-all", "semi-global-sweep", the name of weights that ship, or a file of weights.
+        word: "constant", "winner-takes-all", "semi-global-sweep", "rectified-sgbm", the name of weights that ship, or a
+            file of weights.
         level: of the images, for methods without training.
         scale: their hypotheses; a network has its own number of them from the same nearest depth.
         folder: in which the constant map is kept.
@@ -336,8 +339,8 @@ def make_method(word: str, level: int = 6, scale: Scale = SCALE, folder: Path | 
     net: DepthNetwork
     if word == "constant":
         net = _constant(level, scale, folder)
-    elif word in SWEEPS:
-        net = SWEEPS[word](level, *scale)
+    elif word in UNTRAINED:
+        net = UNTRAINED[word](level, *scale)
     else:
         net = load_network(word, min_depth=scale.min_depth)
     return Method(Path(word).stem if Path(word).suffix else word, net)

@@ -65,6 +65,8 @@ from .models.unified import UnifiedCamera as UnifiedCamera
 from .models.unified import project_unified as project_unified
 from .models.unified import unproject_unified as unproject_unified
 from .registry import register_camera as register_camera
+from .remapping.rectify import RectifiedPair as RectifiedPair
+from .remapping.rectify import rectified_pairs as rectified_pairs
 from .remapping.remap import Remap as Remap
 from .remapping.remap import remap as remap
 from .remapping.remap import remap_mask as remap_mask

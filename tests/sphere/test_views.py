@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import pytest
 import torch
@@ -15,10 +16,13 @@ from sphericalvision.cameras import (
     EquirectangularCamera,
     FisheyeCamera,
     PinholeCamera,
+    RectifiedPair,
     depth_from_z,
     perspective_views,
+    rectified_pairs,
     remap,
     ring_rig,
+    rotation_from_yaw_pitch_roll,
     z_from_depth,
 )
 from sphericalvision.core import ArgumentError, ShapeError
@@ -203,3 +207,56 @@ def test_z_is_along_each_views_own_axis() -> None:
     own = Views([torch.zeros(1, 64, 64)] * 4, ring_rig(4, image_size=(64, 64))).target
     assert isinstance(own, Camera)
     assert own.image_size[0] > 32
+
+
+def room_of_pairs() -> tuple[CameraRig, list[RectifiedPair], list[Tensor], Callable[[Tensor], Tensor]]:
+    """A rig in a room, its rectified pairs and their true disparities, and the true depth from the rig's centre."""
+    rig, scene = ring_rig(4, image_size=(64, 64)), make_scene("room", seed=3)
+    pairs = rectified_pairs(rig)
+    disparities = []
+    for pair in pairs:
+        disparity, valid = pair.disparity(ray_depth(scene, pair.rig.positions[0], pair.to_directions()))
+        disparities.append(torch.where(valid, disparity, -1.0))
+    return rig, pairs, disparities, lambda directions: ray_depth(scene, rig.center, directions)
+
+
+def test_rectified_pairs_are_merged_around_the_center_of_the_rig() -> None:
+    rig, pairs, disparities, truth = room_of_pairs()
+    for target in (EquirectangularCamera((24, 48)), Icosphere(3)):
+        views_of_pairs = Views.of_pairs(pairs, disparities, target)
+        merged = views_of_pairs.merge(quantity="range", align=False, center=rig.center)
+        directions = (
+            target.vertices
+            if isinstance(target, Icosphere)
+            else target.unproject(target.pixel_grid()).directions
+        )
+        true, depth = truth(directions), merged.values[0]
+        assert merged.valid.float().mean() > 0.99
+        error = (depth / true - 1).abs()[merged.valid]
+        assert error.median() < 0.002
+        from_one_place = views_of_pairs.merge(quantity="range", align=False)
+        assert (from_one_place.values[0] / true - 1).abs().median() > 2 * error.median()  # parallax counts
+
+
+def test_pairs_of_a_batch_turned_and_unknown() -> None:
+    rig, pairs, disparities, _ = room_of_pairs()
+    target = EquirectangularCamera((12, 24))
+    both = [torch.stack((part, torch.full_like(part, -1.0))) for part in disparities]
+    merged = Views.of_pairs(pairs, both, target).merge(quantity="range", align=False, center=rig.center)
+    alone = Views.of_pairs(pairs, disparities, target)
+    single = alone.merge(quantity="range", align=False, center=rig.center)
+    assert torch.allclose(merged.values[0], single.values, rtol=1e-4)
+    assert not merged.valid[1].any()
+    quarter = rotation_from_yaw_pitch_roll(torch.tensor([math.pi / 2, 0.0, 0.0]))  # world_from_target
+    turned = alone.merge(rotation=quarter.mT, quantity="range", align=False, center=rig.center)
+    assert (turned.values - single.values.roll(-6, -1)).abs().median() < 1e-3
+
+
+def test_refusals_of_pairs() -> None:
+    rig = ring_rig(4, image_size=(16, 16))
+    pairs = rectified_pairs(rig)
+    with pytest.raises(ArgumentError, match="disparities: expected one for each of 6 pairs, got 1"):
+        Views.of_pairs(pairs, [torch.zeros(pairs[0].image_size)])
+    photographs = Views([torch.rand(1, 16, 16)] * 4, rig)
+    with pytest.raises(ArgumentError, match="center: expected with depth"):
+        photographs.merge(center=rig.center)

@@ -15,21 +15,29 @@ from torch import Tensor
 from sphericalvision.cameras import Camera, CameraRig, EquirectangularCamera, PinholeCamera, depth_from_z
 from sphericalvision.cameras.checks import check_image
 from sphericalvision.cameras.remapping.lookup import pixels_a_radian
+from sphericalvision.cameras.remapping.rectify import RectifiedPair
 from sphericalvision.cameras.remapping.views import checked_angles, rotation_from_yaw_pitch_roll
 from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_tensor
 from sphericalvision.geometry import angle_from_axis
-from sphericalvision.geometry.directions import holds
+from sphericalvision.geometry.directions import holds, normalize
+from sphericalvision.geometry.surfaces import distance_along
 from sphericalvision.sphere.grids.cube_layouts import world_from_cube_face
 from sphericalvision.sphere.grids.sphere_grid import SphereGrid, check_values
 from sphericalvision.sphere.grids.tangent import TangentImages
 from sphericalvision.sphere.resampling.resample_tables import resample_tables
-from sphericalvision.sphere.resampling.supersampling import cell_widths, grid_shape, pixel_solid_angles
+from sphericalvision.sphere.resampling.supersampling import (
+    cell_samples,
+    cell_widths,
+    grid_shape,
+    pixel_solid_angles,
+)
 
 __all__ = ["Merged", "Views", "views"]
 
 QUANTITIES = ("values", "range", "z")
 _ROUNDS = 10  # of weighting by agreement
 _FAINTEST = 1e-4  # weight at the border of a view, of that in its middle
+_INFINITY = 1e3  # baselines, beyond which a pair tells no distance
 
 
 class Merged(NamedTuple):
@@ -48,7 +56,7 @@ class Views:
 
     Args:
         images: ``(*b, c, h, w)`` of each camera, by name or in the rig's order; floating point.
-        rig: cameras, their orientations and masks; where the cameras stand does not matter here.
+        rig: cameras, their orientations and masks; where the cameras stand matters for ``merge(center=...)`` alone.
         target: of ``merge`` if it is told none; a panorama as fine as the cameras in their middle if not given.
 
     Raises:
@@ -79,6 +87,49 @@ class Views:
         self.images = [named[name] for name in rig.names]
         self.rig = rig
         self._target = target
+
+    @classmethod
+    def of_pairs(
+        cls,
+        pairs: Sequence[RectifiedPair],
+        disparities: Sequence[Float[Tensor, "*#b _ _"]],
+        target: SphereGrid | Camera | None = None,
+    ) -> Views:
+        """The distances that rectified pairs tell, seen from their left cameras, for ``merge`` with
+        ``quantity="range"``, ``align=False`` and ``center=rig.center``.
+
+        Args:
+            pairs: of one rig.
+            disparities: ``(*b, h, w)`` of each pair's left image, in pixels; what is below 0 or NaN is unknown.
+            target: of ``merge`` if it is told none.
+
+        Raises:
+            ArgumentError: the numbers of pairs and disparities differ.
+            ShapeError: a disparity is not of its pair's size.
+
+        Examples:
+            >>> from sphericalvision.cameras import rectified_pairs, ring_rig
+            >>> rig = ring_rig(4, image_size=(64, 64))
+            >>> pairs = rectified_pairs(rig)
+            >>> wall = [pair.disparity(torch.full(pair.image_size, 3.0))[0] for pair in pairs]  # from each left camera
+            >>> merged = Views.of_pairs(pairs, wall, EquirectangularCamera((32, 64))).merge(
+            ...     quantity="range", align=False, center=rig.center
+            ... )
+            >>> merged.values.shape, bool((merged.values[0][merged.valid] - 3).abs().median() < 0.1)
+            (torch.Size([1, 32, 64]), True)
+        """
+        if len(pairs) != len(disparities) or not pairs:
+            raise ArgumentError(
+                f"disparities: expected one for each of {len(pairs)} pairs, got {len(disparities)}"
+            )
+        images = []
+        for pair, disparity in zip(pairs, disparities, strict=True):
+            distance = pair.distance(disparity)[0].clamp(max=_INFINITY * float(pair.baseline))
+            images.append(pair.upright(distance).unsqueeze(-3))
+        cameras = {"-".join(pair.names): pair.camera for pair in pairs}
+        return cls(
+            images, CameraRig(cameras, torch.stack([pair.rig.world_from_camera[0] for pair in pairs])), target
+        )
 
     @property
     def target(self) -> SphereGrid | Camera:
@@ -126,6 +177,7 @@ class Views:
         quantity: str = "values",
         align: bool = True,
         mode: str = "bilinear",
+        center: Float[Tensor, " 3"] | None = None,
     ) -> Merged:
         """One image of all views, on any grid or in any camera.
 
@@ -141,14 +193,21 @@ class Views:
             align: whether each view's depth has a scale of its own; these are found where views overlap, and their
                 geometric mean is kept.
             mode: as in ``resample``; ``"area"`` where the target is coarser.
+            center: ``(3,)`` in the world of the rig, from where depth is told. Each view counts from where its camera
+                stands then: its surface is looked up along the rays from the centre, bilinear and without gradients.
+                All from one place when not given.
 
         Raises:
-            ArgumentError: an unknown quantity, or depth of several channels.
+            ArgumentError: an unknown quantity, depth of several channels, or a centre for what is no depth.
         """
         check_choice("quantity", quantity, QUANTITIES)
         is_depth = quantity != "values"
+        if center is not None and (not is_depth or mode != "bilinear"):
+            raise ArgumentError(
+                f"center: expected with depth and mode 'bilinear', got {quantity!r} and {mode!r}"
+            )
         target = self.target if target is None else target
-        pairs = [self._seen_in(target, rotation, name, quantity, mode) for name in self.rig.names]
+        pairs = [self._seen_in(target, rotation, name, quantity, mode, center) for name in self.rig.names]
         values, weights = (torch.stack(torch.broadcast_tensors(*part)) for part in zip(*pairs, strict=True))
         dims = len(grid_shape(target, "target"))
         if is_depth:
@@ -161,7 +220,13 @@ class Views:
         return Merged(merged, valid.squeeze(-1 - dims), spread.squeeze(-1 - dims))
 
     def _seen_in(
-        self, target: SphereGrid | Camera, rotation: Tensor | None, name: str, quantity: str, mode: str
+        self,
+        target: SphereGrid | Camera,
+        rotation: Tensor | None,
+        name: str,
+        quantity: str,
+        mode: str,
+        center: Tensor | None,
     ) -> tuple[Tensor, Tensor]:
         """What a view shows in the target ``(*b, c, *target_shape)``, and its weight, 0 where it shows nothing."""
         index = self.rig.names.index(name)
@@ -183,6 +248,10 @@ class Views:
             usable = usable & (depth > 0) & depth.isfinite()
             image = (1 / torch.where(usable, depth, 1.0)).unsqueeze(-3)  # planes stay planes
         weight = _weights(camera).to(image).expand_as(image[..., :1, :, :])
+        if center is not None:
+            pose = self.rig.world_from_camera[index].to(image)
+            start = (center.to(image) - pose[:3, 3]) @ pose[:3, :3]
+            return _seen_from(start, target, turn, camera, image, weight, usable)
         tables = resample_tables(camera, target, turn, mode, 0.0, usable, image.device)
         dims = len(tables.target_shape)
         result, seen = tables(torch.cat((image, weight), -3)), tables.mask().unsqueeze(-1 - dims)
@@ -190,6 +259,64 @@ class Views:
         if quantity != "values":
             shown = 1 / torch.where(seen, shown, 1.0)
         return shown, torch.where(seen, weight, 0.0)
+
+
+@torch.no_grad()
+def _seen_from(
+    start: Tensor,
+    target: SphereGrid | Camera,
+    turn: Tensor,
+    camera: Camera,
+    inverse_depth: Tensor,
+    weight: Tensor,
+    usable: Tensor,
+) -> tuple[Tensor, Tensor]:
+    """Distances from a place to the surface of a camera's inverse depth (*b, 1, h, w), and the weights of its pixels.
+
+    Args:
+        start: (3,) of the rays, in the camera's frame.
+        target: whose directions these are.
+        turn: target_from_camera.
+        camera: that looks at the surface.
+        inverse_depth: along its rays.
+        weight: (*b, 1, h, w).
+        usable: (*b, h, w) or (h, w), where the inverse depth is known.
+    """
+    cells = cell_samples(target, 1, inverse_depth.dtype, inverse_depth.device)
+    rays = cells.directions[:, 0] @ turn.to(inverse_depth)
+    known = usable.to(inverse_depth).expand(inverse_depth.squeeze(-3).shape).unsqueeze(-3)
+    layers = torch.cat((inverse_depth * known, known, weight * known), -3)
+    parts = [_followed(camera, frame, start, rays) for frame in layers.reshape(-1, *layers.shape[-3:])]
+    shape = (*layers.shape[:-3], 1, *grid_shape(target, "target"))
+    distance, weights = (torch.stack(part).reshape(shape) for part in zip(*parts, strict=True))
+    if cells.valid is not None:
+        weights = torch.where(cells.valid.view(shape[-2:]), weights, 0.0)
+    return distance, weights
+
+
+def _followed(camera: Camera, layers: Tensor, start: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
+    """Where rays (n, 3) meet the surface of one image, and what that counts, 0 where they meet none.
+
+    Args:
+        camera: that looks at the surface.
+        layers: (3, h, w), inverse depth, whether it is known, and weights.
+        start: (3,) of the rays, in the camera's frame.
+        rays: in the camera's frame, too.
+    """
+
+    def at(directions: Tensor) -> tuple[Tensor, Tensor]:
+        (inverse, share, weight), inside = camera.sample(layers, directions)
+        known = inside & (share > 0.5)  # most of the four pixels around
+        share = torch.where(known, share, 1.0)
+        return (inverse / share).where(known, math.nan), torch.where(known, weight / share, 0.0)
+
+    largest = float(layers[0].max())
+    if not largest > 0:
+        return torch.zeros_like(rays[:, 0]), torch.zeros_like(rays[:, 0])
+    distance = distance_along(rays, start, lambda directions: at(directions)[0], 1 / largest)
+    met = distance.isfinite()
+    distance = torch.where(met, distance, 1.0)
+    return distance, torch.where(met, at(normalize(start + distance[:, None] * rays))[1], 0.0)
 
 
 def views(

@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import glob
 import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import torch
 from annotated_types import Ge, MinLen
@@ -34,13 +35,25 @@ from sphericalvision.capture.sources.opening import (
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.images import read_image_size, read_mask, write_mask
 from sphericalvision.io.times import SAME_TIME
-from sphericalvision.recipes.app.kinds import STRICT, Count, Names, Number, OnlyWith, Positive, Text
+from sphericalvision.recipes.app.kinds import (
+    STRICT,
+    Count,
+    HalfAngle,
+    Names,
+    Number,
+    OnlyWith,
+    Positive,
+    Size,
+    Text,
+    Unit,
+)
 from sphericalvision.recipes.app.rigs import Calibration, keys_named
 from sphericalvision.sphere.intake import as_photographs
 
 __all__ = [
     "AUTO",
     "Capture",
+    "CaptureFields",
     "PosedCapture",
     "cut_to_visible",
     "masked_by_itself",
@@ -124,6 +137,34 @@ class Capture(Calibration):
             if size is None or not str(error).startswith("image_size: "):
                 raise
             return replace(calibration, image_size=size).rig(dtype)
+
+
+@dataclasses.dataclass(eq=False, repr=False, kw_only=True)
+class CaptureFields:
+    """The keys of a capture that data modules have beside their own.
+
+    Args:
+        images: pattern of images or videos, or folder, as ``sphericalvision-predict`` takes it.
+        calibration: file, or folder; the one beside the images when not given.
+        cameras: names of the cameras to use, in order.
+        masks: pattern of masks, white where usable; ``AUTO`` finds the body that carries the rig in the frames.
+        translation_unit: of ``poses.txt``.
+        max_angle_deg: half the field of view, where the calibration does not say it.
+        image_size: height and width, where neither the calibration nor image files say it.
+    """
+
+    images: Text
+    calibration: Text | None = None
+    cameras: Names | None = None
+    masks: Text | None = None
+    translation_unit: Unit | None = None
+    max_angle_deg: HalfAngle | None = None
+    image_size: Size | None = None
+
+    def capture_with(self, **keys: Any) -> Capture:
+        """The capture of these keys, and of further ones."""
+        own = {field.name: getattr(self, field.name) for field in dataclasses.fields(CaptureFields)}
+        return Capture(**{**own, "calibration": self.calibration or self.images, **keys})
 
 
 def size_of_images(pattern: str) -> tuple[int, int] | None:
@@ -231,8 +272,8 @@ def masked_by_itself(source: Source, folder: Path) -> CameraRig:
             "some, predict with masks=auto, and give its masks: masks='.../masks/{camera}.png'"
         )
     names = source.names(Selection())
-    wanted = None if names is None else set(spread_evenly(names, MOST))
-    frames = source.frames(Selection(), lambda name: wanted is None or name in wanted)
+    chosen = None if names is None else set(spread_evenly(names, MOST))
+    frames = source.frames(Selection(), lambda name: chosen is None or name in chosen)
     images = (as_photographs(f.images, source.rig) for f in frames if f.images is not None)
     rig = with_own_body_masked(source.rig, images)
     for name, mask in rig.masks.items():
@@ -265,7 +306,7 @@ def visible_part(rig: CameraRig, frames: Iterable[Mapping[str, Tensor]]) -> Came
 
 def with_own_body_masked(rig: CameraRig, frames: Iterable[Mapping[str, Tensor]]) -> CameraRig:
     """The rig with masks of its own body, of which a line for each camera is printed."""
-    found = find_own_body(rig, frames)
-    for line in found.described():
+    body = find_own_body(rig, frames)
+    for line in body.described():
         print(line)
-    return rig.replaced(masks=found.masks)
+    return rig.replaced(masks=body.masks)

@@ -26,19 +26,9 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import SampleView
 from sphericalvision.data.sample_view import ToView
 from sphericalvision.models import DepthNetwork
-from sphericalvision.recipes.app.captures import AUTO, Capture, with_own_body_masked
+from sphericalvision.recipes.app.captures import AUTO, CaptureFields, with_own_body_masked
 from sphericalvision.recipes.app.cli import console
-from sphericalvision.recipes.app.kinds import (
-    Count,
-    HalfAngle,
-    Names,
-    Number,
-    Positive,
-    Share,
-    Size,
-    Text,
-    Unit,
-)
+from sphericalvision.recipes.app.kinds import Count, Number, Positive, Share
 from sphericalvision.recipes.datamodules.base import PreparedSamples, Sample
 from sphericalvision.recipes.datamodules.entries import check_on_icospheres
 from sphericalvision.scenes import World, WorldSamples
@@ -83,7 +73,7 @@ def rehearsed_world(
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
-class CaptureDataModule(PreparedSamples):
+class CaptureDataModule(CaptureFields, PreparedSamples):
     """Frames of a capture, some to learn from and some to judge by, and rendered scenes seen through its rig.
 
     What is to be learned of a frame is what the network, as it is at first, says of the undisturbed images where it
@@ -96,41 +86,29 @@ class CaptureDataModule(PreparedSamples):
     changes no image. Frames are read once and kept, at most 512 rows of each image. What makes images ready is done to
     the disturbed ones, too, so that what is left of the disturbances is learned.
 
+    The capture has the keys of ``CaptureFields``.
+
     Args:
-        images: pattern of images or videos, or folder, as ``sphericalvision-predict`` takes it.
-        calibration: file, or folder; the one beside the images when not given.
+        world: what rendered scenes show, and faults of theirs and of the frames, as ``conf/world/rehearsal.yaml``.
         frames: names or numbers of frames of image files.
         start: position of the first frame.
         stop: position before which to stop.
         every: 2 takes every second frame.
         num_frames: frames that are used, spread evenly.
         held_out_every: every fifth frame is kept to judge by.
-        cameras: names of the cameras to use, in order.
-        masks: pattern of masks, white where usable; ``"auto"`` finds the body that carries the rig in the frames.
-        translation_unit: of ``poses.txt``.
-        max_angle_deg: half the field of view, where the calibration does not say it.
-        image_size: height and width, where neither the calibration nor image files say it.
         min_depth: nearest hypothesis in metres; ``"auto"`` and ``"scene"`` as of ``Predictor``.
         trained_radius: rig radius that the network was trained with, metres.
         rendered: share of training samples that are rendered scenes.
         rendered_seed: of the first rendered scene.
-        world: what rendered scenes show, and faults of theirs and of the frames, as ``conf/world/rehearsal.yaml``.
     """
 
-    images: Text
     world: dict[str, Any]
-    calibration: Text | None = None
     frames: list[int | str] | None = None
     start: Number = 0
     stop: Count | None = None
     every: Count = 1
     num_frames: Annotated[int, Ge(2)] = 50
     held_out_every: Annotated[int, Ge(2)] = 5
-    cameras: Names | None = None
-    masks: Text | None = None
-    translation_unit: Unit | None = None
-    max_angle_deg: HalfAngle | None = None
-    image_size: Size | None = None
     min_depth: Positive | Literal["auto", "scene"] = "auto"
     trained_radius: Positive = 0.2
     rendered: Share = 0.5
@@ -146,18 +124,8 @@ class CaptureDataModule(PreparedSamples):
                 f"scenes follow this one; set {HELD_OUT_SEED - NUM_RENDERED} or less, got {self.rendered_seed}"
             )
         self.preparation = Preparation(self.photometric)
-        self.capture = Capture(
-            calibration=self.calibration or self.images,
-            translation_unit=self.translation_unit,
-            max_angle_deg=self.max_angle_deg,
-            image_size=self.image_size,
-            images=self.images,
-            frames=self.frames,
-            start=self.start,
-            stop=self.stop,
-            every=self.every,
-            cameras=self.cameras,
-            masks=self.masks,
+        self.capture = self.capture_with(
+            frames=self.frames, start=self.start, stop=self.stop, every=self.every
         )
         self.source = self.capture.open()
         if len(self.source.rig) < 2:

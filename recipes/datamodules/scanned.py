@@ -24,8 +24,8 @@ from sphericalvision.data.scanned.omnipus import OmniPusDataset
 from sphericalvision.data.scanned.own import OwnScans
 from sphericalvision.data.scanned.scanned_frames import ScannedFrames
 from sphericalvision.data.scanned.spires import SpiresDataset
-from sphericalvision.recipes.app.captures import Capture
-from sphericalvision.recipes.app.kinds import Count, HalfAngle, Names, Positive, Share, Size, Text, Unit
+from sphericalvision.recipes.app.captures import CaptureFields
+from sphericalvision.recipes.app.kinds import Count, Positive, Share, Text
 from sphericalvision.recipes.datamodules.base import Sample
 from sphericalvision.recipes.datamodules.depth import DepthDataModule
 from sphericalvision.recipes.datamodules.entries import Entries
@@ -205,51 +205,30 @@ class OmniPusDataModule(ScannedDataModule):
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
-class OwnScansDataModule(ScannedDataModule):
+class OwnScansDataModule(CaptureFields, ScannedDataModule):
     """A capture of one's own with a scan for each frame: all frames for the test, a share at the end for validation.
 
+    The capture has the keys of ``CaptureFields``.
+
     Args:
-        images: pattern of images with {camera} and {frame}.
-        calibration: file, or folder.
         points: folder of a scan for each frame.
         lidar_pose: file with rig from scanner, 12 or 16 numbers or a line of TUM's; the rig's frame when not given.
         tolerance: seconds between images and scan, at most, where names are times.
         point_columns: numbers of a point in ``.bin`` files, which do not tell them.
         val_share: share of the frames, the last ones, that validate and are not learned from.
         frames_named: names or numbers of frames.
-        cameras: names of the cameras to use, in order.
-        masks: pattern of masks, white where usable.
-        translation_unit: of ``poses.txt``.
-        max_angle_deg: half the field of view, where the calibration does not say it.
-        image_size: height and width, where neither the calibration nor image files say it.
     """
 
-    images: Text
-    calibration: Text
     points: Text
     lidar_pose: Text | None = None
     tolerance: Positive = 0.02
     point_columns: Count | None = None
     val_share: Share = 0.2
     frames_named: list[int | str] | None = None
-    cameras: Names | None = None
-    masks: Text | None = None
-    translation_unit: Unit | None = None
-    max_angle_deg: HalfAngle | None = None
-    image_size: Size | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.source: Any = Capture(
-            calibration=self.calibration,
-            translation_unit=self.translation_unit,
-            max_angle_deg=self.max_angle_deg,
-            image_size=self.image_size,
-            images=self.images,
-            frames=self.frames_named,
-            cameras=self.cameras,
-            masks=self.masks,
-        ).open()
+        self.source: Any = self.capture_with(frames=self.frames_named).open()
         if not hasattr(self.source, "files"):
             raise ArgumentError(
                 "data.images: expected image files, one for each camera and frame, not videos"

@@ -14,9 +14,8 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Predictor
 from sphericalvision.capture.graphs import GraphedFunction
-from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.models import DepthNetwork, IcoSweepNet, pretrained
-from sphericalvision.recipes.speed.measuring import Comparison, Run, added_memory
+from sphericalvision.recipes.speed.measuring import Comparison, Run, added_memory, random_images
 from sphericalvision.scenes import make_scene, render_rig
 
 __all__ = ["gpu"]
@@ -63,7 +62,7 @@ def gpu(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     )
     for title, network in networks.items():
         net = network().to(device).eval()
-        run = partial(net, _images(net, 1, device), net.tables(ring))
+        run = partial(net, random_images(net.level, device), net.tables(ring))
         yield Comparison(
             f"{title}: memory",
             {"inference": partial(added_memory, torch.inference_mode()(run), device)},
@@ -106,7 +105,7 @@ def _parity(rig: CameraRig, images: dict[str, Tensor], device: torch.device) -> 
 def _forward(net: DepthNetwork, rig: CameraRig, batch: int, device: torch.device) -> dict[str, Run]:
     """A forward pass through tables that are there: eager, as a CUDA graph, and in less precision."""
     net = net.to(device).eval()
-    images, tables = _images(net, batch, device), net.tables(rig)
+    images, tables = random_images(net.level, device, batch), net.tables(rig)
 
     @torch.inference_mode()
     def forward(inputs: Tensor) -> Tensor:
@@ -130,17 +129,13 @@ def _forward(net: DepthNetwork, rig: CameraRig, batch: int, device: torch.device
 def _steps(net: DepthNetwork, rig: CameraRig, batch: int, device: torch.device) -> dict[str, Run]:
     """Forward and backward pass, in float32 and in bfloat16."""
     net = net.to(device).train()
-    images, tables = _images(net, batch, device), net.tables(rig)
+    images, tables = random_images(net.level, device, batch), net.tables(rig)
 
     def step() -> None:
         net(images, tables).sum().backward()
         net.zero_grad()
 
     return {"float32": step, "bfloat16": torch.autocast(device.type, torch.bfloat16)(step)}
-
-
-def _images(net: DepthNetwork, batch: int, device: torch.device) -> Tensor:
-    return 2 * torch.rand(batch, 4, 3, num_icosphere_vertices(net.level), device=device) - 1
 
 
 def _answer(predictor: Predictor, images: dict[str, Tensor]) -> Tensor:

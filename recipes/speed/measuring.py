@@ -13,11 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.utils.flop_counter import FlopCounterMode
 
 from sphericalvision.core import MissingCompilerError, check_choice, kernels, reference_kernels
 from sphericalvision.crown import HexConv2d
+from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.recipes.app.cli import console
 
 __all__ = [
@@ -29,6 +31,7 @@ __all__ = [
     "count_gflop",
     "measure",
     "prepare_operators",
+    "random_images",
     "ways",
 ]
 
@@ -159,6 +162,11 @@ def prepare_operators(device: torch.device) -> None:
             HexConv2d(1, 1)(torch.zeros(1, 1, 12))
     except MissingCompilerError as error:
         console.print(f"measured without operators in C++: {error}")
+
+
+def random_images(level: int, device: torch.device, batch: int = 1) -> Tensor:
+    """Images of four cameras on an icosphere."""
+    return 2 * torch.rand(batch, 4, 3, num_icosphere_vertices(level), device=device) - 1
 
 
 def count_gflop(run: Run) -> float:

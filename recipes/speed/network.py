@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 from importlib.resources import files
-from inspect import signature
 from typing import Any
 
 import torch
@@ -17,9 +16,18 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere
-from sphericalvision.icosphere import icosphere_vertices, num_icosphere_vertices
+from sphericalvision.icosphere import icosphere_vertices
 from sphericalvision.models import DepthNetwork, IcoSweepNet, SemiGlobalSweep
-from sphericalvision.recipes.speed.measuring import OURS, Comparison, Run, added_memory, count_gflop, ways
+from sphericalvision.recipes.app.cli import build
+from sphericalvision.recipes.speed.measuring import (
+    OURS,
+    Comparison,
+    Run,
+    added_memory,
+    count_gflop,
+    random_images,
+    ways,
+)
 from sphericalvision.sweep import SphereSweep
 from sphericalvision.sweep.correlation import correlation_evidence
 
@@ -43,7 +51,7 @@ def _stages(
     net: IcoSweepNet, rig: CameraRig, config: DictConfig, device: torch.device
 ) -> Iterator[Comparison]:
     label = f"level {net.level} to {net.level - 2}, N = {net.num_hypotheses}"
-    images, tables = _images(net.level, device), net.sweep.tables(rig)
+    images, tables = random_images(net.level, device), net.sweep.tables(rig)
     with torch.inference_mode():
         features = net.extract_features(images)
         volume = net.sweep(features, tables).values.flatten(1, 2)
@@ -110,7 +118,7 @@ def training(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     torch.manual_seed(0)
     net = variant("icosweepnet_small", *FRAME).to(device)
     steps = _steps(
-        net, _images(net.level, device), net.tables(ring_rig(4).to(device)), config.options, device
+        net, random_images(net.level, device), net.tables(ring_rig(4).to(device)), config.options, device
     )
     yield Comparison(f"level {FRAME[0]}, N = {FRAME[1]}: a training step of icosweepnet_small", steps)
 
@@ -118,7 +126,7 @@ def training(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
 def sweep(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     """Depth without training, and the correlations that networks may start from."""
     level, number = FRAME
-    rig, images = ring_rig(4).to(device), _images(level, device)
+    rig, images = ring_rig(4).to(device), random_images(level, device)
     net = SemiGlobalSweep(level, number).to(device)
     tables, evidence = net.tables(rig), SphereSweep(level - 2, number, 0.55, level).to(device).tables(rig)
     for title, run in {
@@ -133,7 +141,7 @@ def sweep(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
 def variants(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     """Whole inference of the networks ``config.variants`` of conf/model at every setting of ``config.settings``."""
     for level, number in config.settings:
-        rig, images = ring_rig(4).to(device), _images(level, device)
+        rig, images = ring_rig(4).to(device), random_images(level, device)
         runs: dict[str, Run] = {}
         notes = []
         for name in config.variants:
@@ -166,21 +174,15 @@ def variant(name: str, level: int, num_hypotheses: int) -> IcoSweepNet:
         raise ArgumentError(
             f"variants: expected names of conf/model, such as {', '.join(names)}, got {name!r}"
         )
-    options: dict[str, Any] = OmegaConf.to_container(OmegaConf.create(path.read_text()))  # type: ignore[assignment]
-    if "aggregation" not in options:
+    node = OmegaConf.create(path.read_text())
+    if "aggregation" not in node:
         raise ArgumentError(f"variants: conf/model/{name}.yaml is no IcoSweepNet")
-    options |= {"level": level, "num_hypotheses": num_hypotheses}
-    return IcoSweepNet(
-        **{key: options[key] for key in signature(IcoSweepNet).parameters if key in options}
-    ).eval()
+    net: IcoSweepNet = build({**node, "level": level, "num_hypotheses": num_hypotheses}, "variants")
+    return net.eval()
 
 
 def gflop(net: IcoSweepNet) -> float:
     """1e9 floating-point operations of a frame, done directly; nothing is computed."""
-    tables, images = net.sweep.tables(ring_rig(4)), _images(net.level, torch.device("cpu"))
+    tables, images = net.sweep.tables(ring_rig(4)), random_images(net.level, torch.device("cpu"))
     fresh = IcoSweepNet(**net.hyperparameters).eval()
     return count_gflop(lambda: fresh(images, tables))
-
-
-def _images(level: int, device: torch.device) -> Tensor:
-    return 2 * torch.rand(1, 4, 3, num_icosphere_vertices(level), device=device) - 1

@@ -53,7 +53,6 @@ __all__ = [
     "constants",
     "identity_of",
     "make_method",
-    "make_methods",
     "photographs_of",
     "sweeps",
 ]
@@ -300,19 +299,6 @@ def constants(net: DepthNetwork, level: int, loader: DataLoader[dict[str, Any]])
         Method(name, fresh[name].fit(inverse_depth.reshape(shape), valid.reshape(shape)).to(net.device))
         for name, shape in shapes.items()
     ]
-
-
-def make_methods(words: Sequence[str], level: int, folder: Path | None = None) -> list[Method]:
-    """The methods that words stand for, each as ``make_method`` makes it.
-
-    Raises:
-        ArgumentError: none, or two of one name.
-    """
-    if not words:
-        raise ArgumentError("methods: expected at least one, got none")
-    methods = [make_method(word, level, folder=folder) for word in words]
-    check_names(methods)
-    return methods
 
 
 def check_names(methods: Sequence[Method]) -> None:

@@ -19,7 +19,7 @@ from sphericalvision.io.images import write_image
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.cli import console
 from sphericalvision.recipes.evaluation.loop import evaluate, records_of
-from sphericalvision.recipes.evaluation.methods import SCALE, Method, make_methods
+from sphericalvision.recipes.evaluation.methods import SCALE, Method, check_names, make_method
 from sphericalvision.recipes.evaluation.pictures import (
     DrawnFrame,
     camera_picture,
@@ -213,4 +213,6 @@ def _key_of(page: Path) -> object:
 @lru_cache(maxsize=1)
 def _methods(words: tuple[str, ...], level: int, folder: Path) -> list[Method]:
     """Made once in a process."""
-    return make_methods(words, level, folder)
+    methods = [make_method(word, level, folder=folder) for word in words]
+    check_names(methods)
+    return methods

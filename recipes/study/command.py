@@ -42,7 +42,7 @@ class BenchmarkKeys(TypedDict, total=False):
 
     photometric: bool
     align: bool
-    methods: list[str]
+    methods: Annotated[list[str], MinLen(1)]
     tracks: list[str]
     frames: Count
     first_frame: Number

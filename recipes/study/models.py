@@ -5,28 +5,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from inspect import signature
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from omegaconf import DictConfig, OmegaConf
 
 from sphericalvision.core import ArgumentError, check_choice
-from sphericalvision.models import ConstantDepth, DepthNetwork, SemiGlobalSweep, WinnerTakesAll
-from sphericalvision.recipes.app.checkpoints import load_network
+from sphericalvision.models import ConstantDepth, DepthNetwork
 from sphericalvision.recipes.app.cli import choose_device
-from sphericalvision.recipes.evaluation.methods import Method, Scale
+from sphericalvision.recipes.evaluation.methods import Method, Scale, make_method
 from sphericalvision.recipes.study.training import CHANGES_NOTHING, Training, training_config, training_words
 from sphericalvision.recipes.study.views import training_depths
 from sphericalvision.recipes.training.run_folder import flat_settings
 
 __all__ = ["KINDS", "StudyModel", "methods_of", "scale_of", "study_models"]
 
-SWEEPS: dict[str, type[SemiGlobalSweep] | type[WinnerTakesAll]] = {
-    "semi_global": SemiGlobalSweep,
-    "winner_takes_all": WinnerTakesAll,
-}
-KINDS = ("depth_network", *SWEEPS, "constant")
+DEFAULT = "refinedsweepnet"
+"""The network that ships."""
+
+KINDS = ("depth_network", "constant")
 
 
 class StudyModel(NamedTuple):
@@ -35,11 +32,10 @@ class StudyModel(NamedTuple):
     Attributes:
         name: of its folders and in JSON.
         label: in tables and pictures.
-        kind: "depth_network", a sweep that needs no training, or "constant" (a depth map for all frames).
+        kind: "depth_network", or "constant" (a depth map for all frames).
         train: words of sphericalvision-train; for "constant" they say whose median it is.
-        checkpoint: weights that are there already; ``{seed}`` stands for each seed. With neither, a network is the
-            one that ships.
-        options: hyper-parameters of a sweep.
+        checkpoint: weights that are there already, or a sweep that needs no training, as ``make_method`` names them;
+            ``{seed}`` stands for each seed. With neither, a network is the one that ships.
     """
 
     name: str
@@ -47,7 +43,6 @@ class StudyModel(NamedTuple):
     kind: str
     train: tuple[str, ...] | None
     checkpoint: str | None
-    options: dict[str, Any]
 
     @property
     def is_trained(self) -> bool:
@@ -57,46 +52,40 @@ class StudyModel(NamedTuple):
 
 def methods_of(model: StudyModel, config: DictConfig, trainings: Sequence[Training]) -> list[Method]:
     """The method of each seed of a model, but for seeds that are not trained; of a model without seeds the one."""
-    weights: dict[int | None, Path | None] = {None: None}
+    weights: dict[int | None, str] = {None: DEFAULT}
     if model.is_trained:
-        weights = {t.seed: t.weights for t in trainings if t.model == model.name and t.is_done}
+        weights = {t.seed: str(t.weights) for t in trainings if t.model == model.name and t.is_done}
     elif model.checkpoint is not None:
         seeds = [*config.seeds] if "{seed}" in model.checkpoint else [None]
-        weights = {seed: Path(model.checkpoint.replace("{seed}", str(seed))) for seed in seeds}
+        weights = {seed: model.checkpoint.replace("{seed}", str(seed)) for seed in seeds}
     training = training_config(training_words(model.train, config)) if model.kind == "constant" else None
     return [
         Method(
             model.name if seed is None else f"{model.name}/seed{seed}",
-            partial(make_net, model, path, config, training),
+            partial(make_net, word, config, training),
             identity=training and [flat_settings(training.data, CHANGES_NOTHING), config.baseline_frames],
             label=model.label,
             seed=seed,
         )
-        for seed, path in weights.items()
+        for seed, word in weights.items()
     ]
 
 
-def make_net(
-    model: StudyModel, weights: Path | None, config: DictConfig, training: DictConfig | None
-) -> DepthNetwork:
-    """The network of a model, for the study's level and nearest depth.
+def make_net(word: str, config: DictConfig, training: DictConfig | None) -> DepthNetwork:
+    """The network that a word stands for, or a map of constants, for the study's level and nearest depth.
 
     Args:
-        model: which.
-        weights: of a network; None for the one that ships, and for what has none.
+        word: as of ``make_method``.
         config: of the study.
         training: whose median a map of constants is.
     """
-    level, (number, min_depth) = config.model.level, scale_of(config)
-    net: DepthNetwork
-    if model.kind in SWEEPS:
-        net = SWEEPS[model.kind](level, number, min_depth, **model.options)
-    elif training is not None:
+    level, scale = config.model.level, scale_of(config)
+    if training is not None:
         depths = training_depths(training, level, config.baseline_frames)
-        net = ConstantDepth(level, number, min_depth).fit(*depths)
+        net: DepthNetwork = ConstantDepth(level, *scale).fit(*depths)
     else:
-        net = load_network(weights)
-        net = net.with_changes(level=level if net.images == "sphere" else None, min_depth=min_depth)
+        net = make_method(word, level, scale).net
+        net = net.with_changes(level=level if net.images == "sphere" else None)
     return net.to(choose_device(config.device))
 
 
@@ -118,7 +107,7 @@ def study_models(config: DictConfig) -> list[StudyModel]:
     ]
     if config.checkpoint is not None:
         label = Path(config.checkpoint).stem
-        models.append(StudyModel("own", label, "depth_network", None, config.checkpoint, {}))
+        models.append(StudyModel("own", label, "depth_network", None, config.checkpoint))
     if not models:
         raise ArgumentError("models: expected at least one model, got none; see preset=small for examples")
     return models
@@ -126,16 +115,13 @@ def study_models(config: DictConfig) -> list[StudyModel]:
 
 def _model(name: str, entry: dict[str, Any]) -> StudyModel:
     for key in entry:
-        check_choice(f"models.{name}", key, ("kind", "label", "train", "checkpoint", "options"))
-    kind, words, options = entry.get("kind", "depth_network"), entry.get("train"), entry.get("options") or {}
+        check_choice(f"models.{name}", key, ("kind", "label", "train", "checkpoint"))
+    kind, words = entry.get("kind", "depth_network"), entry.get("train")
     check_choice(f"models.{name}.kind", kind, KINDS)
     if kind == "constant" and words is None:
         raise ArgumentError(
             f"models.{name}.train: a constant depth map is the median of a training set; give the words that "
             "choose it, or [] for that of the words in training"
         )
-    if kind in SWEEPS:
-        for key in options:  # wrong ones are told before anything is trained
-            check_choice(f"models.{name}.options", key, tuple(signature(SWEEPS[kind]).parameters)[3:])
     train = None if words is None else tuple(map(str, words))
-    return StudyModel(name, entry.get("label") or name, kind, train, entry.get("checkpoint"), options)
+    return StudyModel(name, entry.get("label") or name, kind, train, entry.get("checkpoint"))

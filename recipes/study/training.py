@@ -15,7 +15,7 @@ from hydra import compose
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.core import ArgumentError
 from sphericalvision.recipes import train
 from sphericalvision.recipes.app.cli import console
 from sphericalvision.recipes.app.errors import several_processes
@@ -117,7 +117,6 @@ class Training(NamedTuple):
         Raises:
             ArgumentError: ``on_change`` is "refuse"; the message names the keys.
         """
-        check_choice("on_change", on_change, ("refuse", "redo"))
         changes = self.changes
         if not changes:
             return

@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.utils.data import Dataset, Subset
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.core import ArgumentError
 from sphericalvision.data import RotateFisheye, SampleView
 from sphericalvision.data.sample_view import ToView
 from sphericalvision.recipes.app.cli import build
@@ -23,9 +23,7 @@ from sphericalvision.recipes.evaluation.frames import SampleFrames
 from sphericalvision.recipes.study.training import CHANGES_NOTHING
 from sphericalvision.recipes.training.run_folder import flat_settings
 
-__all__ = ["INPUTS", "View", "training_depths", "view_frames", "views"]
-
-INPUTS = ("fisheye", "equirect")
+__all__ = ["View", "training_depths", "view_frames", "views"]
 
 
 class View(NamedTuple):
@@ -44,12 +42,11 @@ def views(config: DictConfig) -> list[View]:
     """All views of a study: every angle and, with ``inputs=equirect``, the level rig of 360° cameras.
 
     Raises:
-        ArgumentError: an unknown kind of input, no angles, or the same twice.
+        ArgumentError: the same angle twice.
     """
-    check_choice("inputs", config.inputs, INPUTS)
     angles = [float(angle) for angle in config.angles_deg]
-    if not angles or len(set(angles)) != len(angles):
-        raise ArgumentError(f"angles_deg: expected each angle once and at least one, got {angles}")
+    if len(set(angles)) != len(angles):
+        raise ArgumentError(f"angles_deg: expected each angle once, got {angles}")
     fisheye = [View("fisheye", angle) for angle in sorted(angles)]
     if config.inputs == "fisheye":
         return fisheye

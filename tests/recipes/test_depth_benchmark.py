@@ -249,7 +249,9 @@ def scene_cache(tmp_path_factory: pytest.TempPathFactory) -> str:
 def test_what_does_not_fit_is_told(failing: Callable[..., str]) -> None:
     assert "benchmark.tracks" in failing("study", *WORDS, "benchmark.tracks=[rooms]")
     assert "given twice" in failing("study", *WORDS, "benchmark.methods=[constant,constant]")
-    assert "at least one" in failing("study", *WORDS, "benchmark.methods=[]")
+    assert "benchmark.methods: expected a list (not empty)" in failing(
+        "study", *WORDS, "benchmark.methods=[]"
+    )
     assert "benchmark.frames" in failing("study", *WORDS, "benchmark.frames=0")
     assert "benchmark.first_frame" in failing("study", *WORDS, "benchmark.first_frame=-1")
 

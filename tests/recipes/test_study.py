@@ -408,12 +408,8 @@ def test_images_on_disk_are_turned(
 def test_mistakes_are_told(failing: Callable[..., str], words: tuple[str, ...], trainer: Trainer) -> None:
     assert "each angle once" in failing("study", *words, "angles_deg=[0,0]")
     assert "models.constant.kind: expected one of" in failing("study", *words, "models.constant.kind=magic")
-    assert "'substeps'" in failing(
-        "study",
-        *words,
-        "models.semi_global.options={steps: 2}",
-        "models.icosweepnet=null",
-        "models.omnimvs=null",
+    assert "models.semi_global: expected one of" in failing(
+        "study", *words, "models.icosweepnet=null", "models.omnimvs=null", "+models.semi_global.steps=2"
     )
     assert "panel_frame: expected 0 to 1" in failing("study", *words, *ONLY, "panel_frame=2")
     assert "optimizer.speed" in failing("study", *words, "extra_training=['optimizer.speed=1']")

@@ -138,7 +138,7 @@ def check_keys(kind: Any, config: DictConfig, words: Sequence[str]) -> None:
 
 
 def unused_key(kind: Any, config: DictConfig, overrides: Iterable[str]) -> str | None:
-    """What is wrong with the first key that is ``given``, but that does not count; None if all do."""
+    """What is wrong with the first key that is among ``overrides``, but that does not count; None if all do."""
     for key, mark in marks_of(kind).items():
         needed, equal, values = mark.needed.partition("=")
         value = OmegaConf.select(config, needed)
@@ -201,13 +201,13 @@ def expected(hint: Any) -> str:
         return str(getattr(hint, "__name__", hint))
 
 
-def check_node(config: Any, where: str, given: Sequence[str] = ()) -> None:
+def check_node(config: Any, where: str, passed: Sequence[str] = ()) -> None:
     """Compare the keys of a node that names a ``_target_`` with the target's parameters.
 
     Args:
         config: the node.
         where: its key, for messages.
-        given: parameters that do not come from the node.
+        passed: parameters that do not come from the node.
 
     Raises:
         ArgumentError: a key that the target does not take, or a value that does not fit its type hint.
@@ -233,7 +233,7 @@ def check_node(config: Any, where: str, given: Sequence[str] = ()) -> None:
         if str(key).startswith("_"):
             continue
         if key not in parameters and not open_ended:
-            options = [name for name in parameters if name not in given]
+            options = [name for name in parameters if name not in passed]
             name = str(config["_target_"]).rpartition(".")[2]
             raise ArgumentError(f"{where}.{key}: {name} has no such option; it has {', '.join(options)}")
         if isinstance(config, DictConfig) and OmegaConf.is_missing(config, key):

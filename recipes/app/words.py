@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from hydra import compose
-from hydra._internal.utils import get_args_parser
+from hydra._internal.utils import get_args_parser  # its flags have no public place
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException

@@ -117,7 +117,7 @@ def save_pictures(
 
 def inspect(config: InspectConfig, folder: Path) -> list[Path]:
     """Print what is to be known about ``config.file`` and write pictures to ``folder``; returns the files."""
-    whole, known = load_rig(config)
+    whole, has_poses = load_rig(config)
     cameras = whole.names if config.cameras is None else [str(name) for name in config.cameras]
     rig = whole.subset(cameras)
     if config.masks is not None:
@@ -133,11 +133,11 @@ def inspect(config: InspectConfig, folder: Path) -> list[Path]:
             chosen = spread_evenly(list(files), 3)
             rig = visible_part(rig, [images, *(read_frame(files[frame], rig) for frame in chosen[1:])])
     print_cameras(rig, str(config.file.calibration))
-    if known:
+    if has_poses:
         print_poses(rig, config)
     else:
         console.print("The file has no poses, so baselines and overlap are not known.")
-    written = save_pictures(rig, known, images, config, folder)
+    written = save_pictures(rig, has_poses, images, config, folder)
     for path in written:
         print(path)
     return written

@@ -137,11 +137,11 @@ def nearest(
         return replace(config, min_depth=before["min_depth"])
     if samples := source.samples():
         shared = [frame.images for frame in samples if frame.images is not None and frame.rig is None]
-        found = [predictor.nearest_depth(shared)] if shared else []
+        depths = [predictor.nearest_depth(shared)] if shared else []
         for frame in samples:  # windows have rigs of their own, and share the depth
             if frame.images is not None and frame.rig is not None:
-                found.append(predictor.with_changes(frame.rig).nearest_depth([frame.images]))
-        return replace(config, min_depth=round(min(found), 3))
+                depths.append(predictor.with_changes(frame.rig).nearest_depth([frame.images]))
+        return replace(config, min_depth=round(min(depths), 3))
     return config
 
 
@@ -159,11 +159,11 @@ def aligned(
         goes_on: whether there are results already.
         placement: ``(4, 4)``, from the frame of the calibration to that of the rig.
     """
-    kept = folder / ALIGNED
+    path = folder / ALIGNED
     if goes_on:
-        if not kept.is_file():
+        if not path.is_file():
             return predictor
-        turned = placed(read_rig(kept), placement)
+        turned = placed(read_rig(path), placement)
         source.rig = source.rig.replaced(world_from_camera=turned.world_from_camera, origin=turned.origin)
         return predictor.with_changes(source.rig)
     if not predictor.preparation.align:
@@ -176,7 +176,7 @@ def aligned(
         return predictor
     source.rig = verdict.rig.to("cpu")
     folder.mkdir(parents=True, exist_ok=True)
-    save_rig(placed(source.rig, torch.linalg.inv(placement)), kept)
+    save_rig(placed(source.rig, torch.linalg.inv(placement)), path)
     return predictor.with_changes(source.rig)
 
 
@@ -238,11 +238,11 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
     outputs = Outputs(folder, settings)
     if (folder / ALIGNED).is_file():
         outputs.written.append(folder / ALIGNED)
-    left = None if names is None else set(names)
+    remaining = None if names is None else set(names)
     if names is not None and before:
-        left = outputs.remaining(names)
-        say(f"{len(set(names)) - len(left)} frame(s) are in {folder} already, in each of its outputs")
-    wrong = run(source, selection, predictor, outputs, left, config.on_error == "stop")
+        remaining = outputs.remaining(names)
+        say(f"{len(set(names)) - len(remaining)} frame(s) are in {folder} already, in each of its outputs")
+    wrong = run(source, selection, predictor, outputs, remaining, config.on_error == "stop")
     _report(outputs)
     if wrong:
         number = "some" if names is None else f"{len(wrong)} of {len(names)}"
@@ -255,7 +255,7 @@ def run(
     selection: Selection,
     predictor: Predictor,
     outputs: Outputs,
-    left: set[str] | None,
+    remaining: set[str] | None,
     stop_on_error: bool = False,
 ) -> list[str]:
     """Write the depth of frame after frame, while the next ones are estimated; returns what was wrong.
@@ -265,23 +265,23 @@ def run(
         selection: which of them.
         predictor: of their depth.
         outputs: where depth goes.
-        left: names of the frames to be done; None for all of them.
+        remaining: names of the frames to be done; None for all of them.
         stop_on_error: whether to raise the error of a frame that cannot be read.
     """
     # Colours follow the first frame of all: whoever goes on looks at that one once more, and only then at what is left.
-    looks = bool(left) and outputs.follows_first_frame
+    needs_first = bool(remaining) and outputs.follows_first_frame
 
-    def is_left(name: str) -> bool:
-        return left is None or name in left
+    def is_remaining(name: str) -> bool:
+        return remaining is None or name in remaining
 
-    def wanted(name: str) -> bool:
-        return is_left(name) or (looks and outputs.near is None)
+    def is_needed(name: str) -> bool:
+        return is_remaining(name) or (needs_first and outputs.near is None)
 
     wrong: list[str] = []
     number, busy, began = 0, 0.0, time.perf_counter()
     columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[speed]}"), TimeRemainingColumn())
-    total = None if left is None else len(left)
-    estimates = estimate_frames(source, selection, predictor, wanted, total)
+    total = None if remaining is None else len(remaining)
+    estimates = estimate_frames(source, selection, predictor, is_needed, total)
     try:
         with (
             closing(estimates),  # type: ignore[type-var]
@@ -297,7 +297,7 @@ def run(
                         for sentence in depth.compensations[0].described() if depth.compensations else ():
                             say(f"preparation {sentence} (in the first frame)")
                     outputs.begin(depth)
-                if not is_left(frame.name):
+                if not is_remaining(frame.name):
                     continue
                 if depth is not None:
                     busy += seconds
@@ -392,8 +392,8 @@ def _check_settings(config: PredictConfig, before: Mapping[str, Any], folder: Pa
     now = OmegaConf.create(flat(config))
     wrong = [key for key in before if key in now and key not in FREE and before[key] != now[key]]
     if wrong:
-        told = ", ".join(f"{key} was {before[key]}, is {now[key]}" for key in wrong)
+        changes = ", ".join(f"{key} was {before[key]}, is {now[key]}" for key in wrong)
         raise ArgumentError(
-            f"skip_existing: {folder} holds results of other settings ({told}); set them as before, or give another "
+            f"skip_existing: {folder} holds results of other settings ({changes}); set them as before, or give another "
             "output="
         )

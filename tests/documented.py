@@ -35,6 +35,7 @@ from tests.recipes.scanned_sets import (
     write_omnipus,
     write_own,
     write_spires,
+    write_widedepth,
 )
 from tests.worlds import recorded_frames
 
@@ -134,7 +135,14 @@ def furnish(folder: Path) -> None:
     ):
         rendered = recorded_frames(rig, frames, height=20)
         write_omnistereo(folder / "data" / name, rendered, rig)
-    for write in (write_deep360, write_helvipad, write_kitti360, write_omnipus, write_spires):
+    for write in (
+        write_deep360,
+        write_helvipad,
+        write_kitti360,
+        write_omnipus,
+        write_spires,
+        write_widedepth,
+    ):
         write(folder / "data" / write.__name__.removeprefix("write_"))
     write_own(folder / "place", rig, ("00001", "00002"))
 

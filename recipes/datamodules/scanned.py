@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import torch
 from annotated_types import Ge, Gt, Le, Len
@@ -24,6 +24,7 @@ from sphericalvision.data.scanned.omnipus import OmniPusDataset
 from sphericalvision.data.scanned.own import OwnScans
 from sphericalvision.data.scanned.scanned_frames import ScannedFrames
 from sphericalvision.data.scanned.spires import SpiresDataset
+from sphericalvision.data.scanned.widedepth import WideDepthDataset
 from sphericalvision.recipes.app.captures import CaptureFields
 from sphericalvision.recipes.app.kinds import Count, Positive, Share, Text
 from sphericalvision.recipes.datamodules.base import Sample
@@ -38,6 +39,7 @@ __all__ = [
     "OwnScansDataModule",
     "ScannedDataModule",
     "SpiresDataModule",
+    "WideDepthDataModule",
 ]
 
 Transform = Callable[[Sample], Any]
@@ -184,6 +186,33 @@ class SpiresDataModule(_SequencesDataModule):
     def frames(self, split: str, height: int, transform: Transform) -> SpiresDataset:
         """Frames of a split."""
         return SpiresDataset(self.root, self.sequences(split), height, transform, self.tolerance)
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class WideDepthDataModule(_SequencesDataModule):
+    """WideDepth, all scenes of which are for the test where none are named.
+
+    Args:
+        root: folder of the set.
+        train: scenes that train.
+        val: scenes that validate.
+        test: scenes that sphericalvision-evaluate takes; all when not given.
+        field_of_view_deg: degrees from the left to the right edge.
+        baseline_mm: millimetres between the cameras.
+        stereo: which cameras.
+        calibration: file of the lens.
+    """
+
+    field_of_view_deg: Literal[120, 140, 165, 195] = 195
+    baseline_mm: Literal[20, 65, 120, 200, 300] = 65
+    stereo: Literal["horizontal", "vertical", "both"] = "horizontal"
+    calibration: Text | None = None
+
+    def frames(self, split: str, height: int, transform: Transform) -> WideDepthDataset:
+        """Scenes of a split."""
+        scenes = None if split == "test" and self.test is None else self.sequences(split)
+        chosen = (self.field_of_view_deg, self.baseline_mm, self.stereo, self.calibration)
+        return WideDepthDataset(self.root, scenes, height, transform, *chosen)
 
 
 @dataclass(eq=False, repr=False, kw_only=True)

@@ -15,6 +15,7 @@ from torch import Tensor
 from sphericalvision.cameras import (
     CameraRig,
     EquirectangularCamera,
+    FisheyeCamera,
     KannalaBrandtCamera,
     read_camera,
     ring_rig,
@@ -236,6 +237,31 @@ def write_deep360(root: Path, splits: tuple[str, ...] = ("training", "validation
     for folder in folders:
         (folder / "depth").mkdir()
         np.savez(folder / "depth" / "002505_depth.npz", depth)
+    return root
+
+
+SCENES = ("001_057_000", "002_010_000")
+WIDE = FisheyeCamera(
+    "equidistant", [64 / math.radians(195)] * 2, [31.5, 17.5], (36, 64), math.radians(195 / 2)
+)
+
+
+def write_widedepth(root: Path) -> Path:
+    """Two scenes of 195° and 65 mm, 32 times smaller; the second has no camera below."""
+    rays = WIDE.unproject(WIDE.pixel_grid()).directions
+    depth = ray_depth(SCENE, torch.zeros(3), rays)
+    for scene in SCENES:
+        folder = root / scene / "195FOV" / "65mm"
+        for name, place in (("CENTER", (0.0, 0)), ("RIGHT", (0.065, 0)), ("DOWN", (0, 0.065))):
+            pose = torch.eye(4)
+            pose[:2, 3] = torch.tensor(place)
+            if name != "DOWN" or scene == SCENES[0]:
+                write_image(
+                    folder / name / "fisheye.png", render_camera(SCENE, WIDE, pose, samples_per_pixel=1)
+                )
+        stored = (depth * 1000).round().numpy().astype(np.uint16)
+        stored[:, ::9] = 0
+        write_pages(folder / "CENTER" / "depth" / "fisheye.png", [stored])
     return root
 
 

@@ -14,7 +14,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.cameras import CameraRig, KannalaBrandtCamera, read_trajectory, ring_rig
+from sphericalvision.cameras import (
+    CameraRig,
+    KannalaBrandtCamera,
+    read_camera,
+    read_trajectory,
+    ring_rig,
+    save_camera,
+)
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
 from sphericalvision.data.scanned.deep360 import Deep360Dataset
 from sphericalvision.data.scanned.helvipad import (
@@ -28,20 +35,24 @@ from sphericalvision.data.scanned.omnipus import OmniPusDataset
 from sphericalvision.data.scanned.own import OwnScans
 from sphericalvision.data.scanned.scanned_frames import ScannedFrames
 from sphericalvision.data.scanned.spires import SpiresDataset
+from sphericalvision.data.scanned.widedepth import WideDepthDataset
 from sphericalvision.io.images import write_pages
 from sphericalvision.scenes import Scene, ray_depth, render_rig
 from sphericalvision.sphere import Equirectangular
 from tests.recipes.scanned_sets import (
     ROAD,
     SCENE,
+    SCENES,
     SEQUENCE,
     SITE,
+    WIDE,
     write_deep360,
     write_helvipad,
     write_kitti360,
     write_omnipus,
     write_own,
     write_spires,
+    write_widedepth,
 )
 from tests.recipes.tiny import TINY_SCENES, TINY_TRAINING, Run, command_after
 
@@ -62,7 +73,9 @@ def test_every_layout_gives_the_truth_that_was_rendered(tmp_path: Path) -> None:
     spires = SpiresDataset(write_spires(tmp_path / "s"), [SITE], height=32)
     omnipus = OmniPusDataset(write_omnipus(tmp_path / "o"), "test", height=64)
     deep360 = Deep360Dataset(write_deep360(tmp_path / "d"), "test", height=64)
-    for frames in (helvipad, kitti, spires, omnipus, deep360):
+    with pytest.warns(UserWarning, match="the set tells no lens; it is taken for equidistant, 195°"):
+        widedepth = WideDepthDataset(write_widedepth(tmp_path / "w"), height=64, stereo="both")
+    for frames in (helvipad, kitti, spires, omnipus, deep360, widedepth):
         assert len(frames) == 1, frames
         sample = frames[0]
         rig = sample["rig"]
@@ -75,6 +88,31 @@ def test_every_layout_gives_the_truth_that_was_rendered(tmp_path: Path) -> None:
             assert (image - rendered[name]).abs().mean(0)[seen].median() < 0.03, (frames, name)
     assert OmniPusDataset(omnipus.root, "train").names == ["omnipusa/omnipusA_case2/000000"]
     assert "1 of 2 frames were left out" in spires.left_out[0]
+    assert "the first, 002_010_000, lacks 195FOV/65mm/DOWN/fisheye.png" in widedepth.left_out[0]
+
+
+def test_widedepth_has_its_choices_and_a_lens_of_ones_own(tmp_path: Path) -> None:
+    root = write_widedepth(tmp_path / "w")
+    save_camera(WIDE, tmp_path / "lens.yaml")
+    lens = tmp_path / "lens.yaml"
+    for stereo, place in (("horizontal", [0.065, 0.0, 0.0]), ("vertical", [0.0, 0.065, 0.0])):
+        frames = WideDepthDataset(root, [SCENES[0]], height=24, stereo=stereo, calibration=lens)
+        assert torch.allclose(frames.fixed_rig.positions[1], torch.tensor(place))
+        assert frames.fixed_rig.cameras["center"].equals(read_camera(lens))
+        points = frames.points(SCENES[0])
+        true = ray_depth(SCENE, torch.zeros(3), torch.nn.functional.normalize(points, dim=-1))
+        assert (points.norm(dim=-1) - true).abs().max() < 0.002  # metres
+    assert len(WideDepthDataset(root, calibration=lens)) == 2
+    for wrong in ({"field_of_view": 180}, {"baseline": 66}, {"stereo": "left"}):
+        with pytest.raises(ArgumentError, match=next(iter(wrong))):
+            WideDepthDataset(root, **wrong)
+    with pytest.raises(MissingFileError, match="no scene 'hall'; it has 2, 001_057_000"):
+        WideDepthDataset(root, ["hall"])
+    with pytest.raises(MissingFileError, match=r"lacks 120FOV/65mm/CENTER/fisheye\.png"):
+        WideDepthDataset(root, field_of_view=120)
+    save_camera(WIDE.resized((72, 128)), lens)
+    with pytest.raises(FileFormatError, match="expected a camera of 36 x 64 pixels"):
+        WideDepthDataset(root, calibration=lens)
 
 
 @pytest.mark.parametrize(
@@ -85,6 +123,11 @@ def test_every_layout_gives_the_truth_that_was_rendered(tmp_path: Path) -> None:
         (write_spires, (f"[{SITE}]",)),
         (write_omnipus, ()),
         (write_deep360, ()),
+        pytest.param(
+            write_widedepth,
+            (f"[{SCENES[0]}]",),
+            marks=pytest.mark.filterwarnings("ignore:.*tells no lens"),
+        ),
     ],
 )
 def test_published_sets_are_trained_and_evaluated_by_the_commands(

@@ -41,6 +41,9 @@ from sphericalvision.recipes.evaluation.methods import identity_of
 __all__ = ["PredictConfig", "open_frames", "predict", "predictor_for"]
 
 
+WITH_POINTS = OnlyWith("outputs=cloud|glb|fused|splat", "outputs=[cloud], [glb], [fused] or [splat]")
+
+
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class PredictConfig:
     """Keys of ``conf/predict.yaml``."""
@@ -56,10 +59,8 @@ class PredictConfig:
     outputs: list[str] | None
     height: Count
     near: Positive | None
-    min_confidence: Annotated[Share, OnlyWith("outputs=cloud|glb|fused", "outputs=[cloud], [glb] or [fused]")]
-    voxel: Annotated[
-        Positive | None, OnlyWith("outputs=cloud|glb|fused", "outputs=[cloud], [glb] or [fused]")
-    ]
+    min_confidence: Annotated[Share, WITH_POINTS]
+    voxel: Annotated[Positive | None, WITH_POINTS]
     output: Text
     skip_existing: bool
     on_error: Literal["skip", "stop"]
@@ -234,6 +235,7 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
         bool(before),
         {**basis, "network": identity_of(predictor.network) if config.method == "network" else None},
         config.capture.axes,
+        config.capture.poses is not None,
     )
     outputs = Outputs(folder, settings)
     if (folder / ALIGNED).is_file():
@@ -339,7 +341,7 @@ def _report(outputs: Outputs) -> None:
             f"panorama: seams are at the depth estimated, {outputs.seam:.2f} m (median of the first frame, where two "
             "cameras see); what is nearer or farther than its estimate is seen twice there, or cut off"
         )
-    if outputs.fused is not None:
+    if outputs.fused is not None and "fused" in outputs.settings.outputs:
         points, frames = len(outputs.fused.points().points), len(outputs.fused.frames)
         print(
             f"fused: {points} points of {frames} frame(s), one for each cube of {100 * outputs.fused.side:.1f} cm that "

@@ -61,16 +61,20 @@ class FolderRecord:
 
     def add(self, outputs: Iterable[str], frames: Sequence[str], paths: Iterable[Path]) -> None:
         """State that outputs of frames are done, in these files."""
-        files = {path.name: checksum(path) for path in paths}
+        files = {self._name_of(path): checksum(path) for path in paths}
         self._append({"outputs": list(outputs), "frames": list(frames), "files": files})
 
     def replace(self, output: str, frames: Sequence[str], path: Path) -> None:
         """State all frames of an output that has one file for them."""
-        self._append({"output": output, "frames": list(frames), "files": {path.name: checksum(path)}})
+        files = {self._name_of(path): checksum(path)}
+        self._append({"output": output, "frames": list(frames), "files": files})
 
     def is_intact(self, name: str) -> bool:
         """Whether a file is as it was written, or was never one of these results."""
         return name not in self._checksums or checksum(self.folder / name) == self._checksums[name]
+
+    def _name_of(self, path: Path) -> str:
+        return path.relative_to(self.folder).as_posix()
 
     def _append(self, statement: dict[str, object]) -> None:
         line = json.dumps(statement)

@@ -25,6 +25,7 @@ from sphericalvision.capture.folder_record import FolderRecord
 from sphericalvision.capture.fusing import FusedCloud
 from sphericalvision.capture.points import SurfacePoints
 from sphericalvision.capture.rerun_log import RerunLog
+from sphericalvision.capture.splat import SplatScene
 from sphericalvision.capture.viewer import Timeline, near_end_of, save_viewer
 from sphericalvision.core import FileFormatError, check_choice
 from sphericalvision.io.files import atomic_write, write_bytes
@@ -50,6 +51,7 @@ OUTPUTS = (
     "rerun",
     "consistency",
     "fused",
+    "splat",
 )
 FUSED = "fused.npz"
 """Beside the fused cloud: what a continuation goes on with."""
@@ -67,7 +69,7 @@ FILES = {
 }
 """Output -> what the name of its file for a frame ends with; beside depth there is ``COLOR``."""
 COLOR = "color.png"
-RESTARTED = ("timeline", "rerun")
+RESTARTED = ("timeline", "rerun", "splat")
 """Outputs of all frames that cannot be continued: where one frame is left, all are."""
 COLOURED = ("depth", "viewer", "video", "timeline")
 """Outputs that show depth in colours."""
@@ -87,6 +89,8 @@ class Settings(NamedTuple):
         go_on: whether video, table of consistency and fused cloud begin with the frames that are there.
         basis: what results depend on beside settings, for ``FolderRecord``.
         axes: ``(3, 3)`` that turns what ``.ply`` files hold into a robot's axes.
+        posed: whether frames are of one world, as their poses say: one ``splat`` of all of them then, with the fused
+            cloud; else one of each.
     """
 
     outputs: Sequence[str]
@@ -98,6 +102,7 @@ class Settings(NamedTuple):
     go_on: bool = False
     basis: Mapping[str, str | None] = {}
     axes: Tensor | None = None
+    posed: bool = False
 
 
 class Panoramas:
@@ -165,10 +170,11 @@ def save_frame(folder: Path, prefix: str, panoramas: Panoramas, settings: Settin
     if clouds:
         cloud = panoramas.depth.points(settings.min_confidence, voxel=settings.voxel)
         origin = panoramas.depth.rig.origin.cpu()
-        if origin.any():
-            cloud = cloud._replace(points=cloud.points.cpu().double() + origin)
         written += _save_clouds(
-            [folder / f"{prefix}{FILES[kind]}" for kind in clouds], cloud, origin, settings.axes
+            [folder / f"{prefix}{FILES[kind]}" for kind in clouds],
+            in_world(cloud, origin),
+            origin,
+            settings.axes,
         )
     if "viewer" in settings.outputs:
         title = f"depth all around {prefix.rstrip('_')}".strip()
@@ -182,6 +188,13 @@ def save_frame(folder: Path, prefix: str, panoramas: Panoramas, settings: Settin
             np.savez_compressed(temporary, **arrays_of(panoramas))
         written.append(path)
     return written
+
+
+def in_world(cloud: SurfacePoints, origin: Tensor) -> SurfacePoints:
+    """Points as seen from the origin of a rig in the world of its file."""
+    if not origin.any():
+        return cloud
+    return cloud._replace(points=cloud.points.cpu().double() + origin.cpu())
 
 
 def _save_clouds(
@@ -283,6 +296,7 @@ class Outputs:
         self._videos: dict[str, _Video] = {}
         self._timeline: Timeline | None = None
         self._recording: RerunLog | None = None
+        self._splat: SplatScene | None = None
         self._number = 0
         self._names: list[str] = []
         self._intact: dict[str, bool] = {}
@@ -367,19 +381,36 @@ class Outputs:
                 self.consistency[frame] = self._judge(depth)
                 with self._table.open("a") as table:  # what is there when the process is killed is read again
                     table.write(_rows_of({frame: self.consistency[frame]}))
-            if "fused" in self.settings.outputs:
+            if "fused" in self.settings.outputs or (self.settings.posed and "splat" in self.settings.outputs):
                 if self.fused is None:
                     step = math.sqrt(4 * math.pi / depth.index.numel()) * depth.min_depth
                     self.fused = FusedCloud(self.settings.voxel or CUBE * step)
                 points = depth.points(self.settings.min_confidence)
                 self.fused.add(frame, points, panoramas.panorama, depth.rig.center, depth.rig.origin)
-                self.fused.save(self.folder / FUSED, now=False)
-            self._number += 1
+                if "fused" in self.settings.outputs:
+                    self.fused.save(self.folder / FUSED, now=False)
             self._names.append(frame)
+            if "splat" in self.settings.outputs:
+                self._add_splat(frame, depth)
+            self._number += 1
             paths = save_frame(self.folder, prefix_of(frame), panoramas, self.settings)
             self.written += paths
             if outputs := [o for o in self.settings.outputs if o not in _VIDEOS and o not in RESTARTED]:
                 self._record.add(outputs, [frame], paths)
+
+    def _add_splat(self, frame: str, depth: Depth) -> None:
+        prefix = "" if self.settings.posed else prefix_of(frame)
+        if self._splat is None or not self.settings.posed:
+            self._splat = SplatScene(self.folder / f"{prefix}splat", self.settings.min_confidence)
+        self._splat.add(frame, depth)
+        if not self.settings.posed:
+            cloud = depth.points(self.settings.min_confidence, voxel=self.settings.voxel)
+            self._close_splat(self._splat, in_world(cloud, depth.rig.origin))
+
+    def _close_splat(self, scene: SplatScene, cloud: SurfacePoints) -> None:
+        self.written += scene.close(cloud)
+        self.warnings += [note for note in scene.notes if note not in self.warnings]
+        self._record.replace("splat", self._names, self.written[-1])
 
     def _warn(self, depth: Depth) -> None:
         """Say what is probably wrong, told from the first frame."""
@@ -402,7 +433,9 @@ class Outputs:
         if "consistency" in self.settings.outputs:
             self._write_shares()
             self.written.append(self._table)
-        if self.fused is not None:
+        if self._splat is not None and self.settings.posed and self.fused is not None:
+            self._close_splat(self._splat, self.fused.points())
+        if self.fused is not None and "fused" in self.settings.outputs:
             self.fused.save(self.folder / FUSED)
             self.written += _save_clouds(
                 [self.folder / "fused.ply", self.folder / "fused.glb"],

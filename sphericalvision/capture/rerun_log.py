@@ -10,6 +10,7 @@ from typing import Any, Self
 
 import torch
 
+from sphericalvision.capture.pinhole_twins import PinholeTwins
 from sphericalvision.capture.result import Depth
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.files import atomic_write
@@ -22,8 +23,9 @@ __all__ = ["RerunLog"]
 class RerunLog:
     """Writes frame after frame into a file that ``rerun FILE.rrd`` shows.
 
-    ``world`` has x right, y down, z forward. In it are ``world/<camera>`` with pose and ``image``, and
-    ``world/points``; beside it the panoramas ``color``, ``depth`` (metres) and ``confidence``.
+    ``world`` has x right, y down, z forward. In it are ``world/<camera>`` with pose and ``image``, its pinhole twins
+    ``world/<camera>/<view>`` with an image each, into which Rerun projects the points, and ``world/points``; beside it
+    the panoramas ``color``, ``depth`` (metres) and ``confidence``.
 
     Args:
         path: of the recording; it appears when the log is closed.
@@ -47,6 +49,7 @@ class RerunLog:
         self._stream = self._rerun.RecordingStream("sphericalvision")
         self._stream.save(self._writing.__enter__())
         self._origin: torch.Tensor | None = None
+        self._twins = PinholeTwins()
         self._stream.log("world", self._rerun.ViewCoordinates.RDF, static=True)
 
     def __enter__(self) -> Self:
@@ -69,6 +72,17 @@ class RerunLog:
                 f"world/{name}", rr.Transform3D(translation=pose[:3, 3] + offset.numpy(), mat3x3=pose[:3, :3])
             )
             stream.log(f"world/{name}/image", rr.Image(as_bytes(images[name])).compress())
+            for twin in self._twins.of(rig.cameras[name]):
+                entity = f"world/{name}/{twin.name or 'pinhole'}"
+                focal, center = twin.camera.focal_length.tolist(), twin.camera.principal_point.tolist()
+                pinhole = rr.Pinhole(
+                    focal_length=focal,
+                    principal_point=[middle + 0.5 for middle in center],  # from the corner of the image
+                    resolution=twin.camera.image_size[::-1],
+                    camera_xyz=rr.ViewCoordinates.RDF,
+                )
+                stream.log(entity, rr.Transform3D(mat3x3=twin.pose[:3, :3].numpy()), pinhole)
+                stream.log(entity, rr.Image(as_bytes(twin.remap(images[name]))).compress())
         panorama = depth.panorama(self.height)
         colors, _ = rgb_panorama(rig, images, self.height, panorama.depth.cpu())
         stream.log("color", rr.Image(as_bytes(colors)).compress())

@@ -41,9 +41,11 @@ class Stream:
         assert timeline == "frame"
         self.frame = sequence
 
-    def log(self, entity: str, value: Any, static: bool = False) -> None:
+    def log(self, entity: str, *values: Any, static: bool = False) -> None:
         assert self.open
-        self.logged[entity, None if static else self.frame] = value
+        for value in values:
+            kind = "pinhole" if isinstance(value, dict) else ""
+            self.logged[entity + kind, None if static else self.frame] = value
 
     def disconnect(self) -> None:
         self.open = False
@@ -62,7 +64,8 @@ def test_a_recording_holds_cameras_images_depth_and_points(
     stand_in = SimpleNamespace(
         RecordingStream=Stream,
         ViewCoordinates=SimpleNamespace(RDF="right, down, forward"),
-        Transform3D=lambda translation, mat3x3: (translation, mat3x3),
+        Transform3D=lambda translation=None, mat3x3=None: (translation, mat3x3),
+        Pinhole=dict,
         Image=lambda pixels: pixels.view(Picture),
         DepthImage=lambda values, meter: values / meter,
         Points3D=lambda points, colors: (points, colors),
@@ -76,9 +79,12 @@ def test_a_recording_holds_cameras_images_depth_and_points(
     assert (tmp_path / "out/depth.rrd").read_bytes() == b"recording"
     assert logged.pop(("world", None)) == "right, down, forward"
     cameras = {f"world/{name}" for name in RIG.names}
+    views = {f"{name}/{face}" for name in cameras for face in ("front", "right", "left", "up", "down")}
     entities = {
         *cameras,
         *(f"{name}/image" for name in cameras),
+        *views,
+        *(f"{view}pinhole" for view in views),
         "world/points",
         "color",
         "depth",
@@ -89,6 +95,10 @@ def test_a_recording_holds_cameras_images_depth_and_points(
     np.testing.assert_allclose(translation, RIG.positions[1], atol=1e-6)
     np.testing.assert_allclose(rotation @ [0, 0, 1], RIG.axes[1], atol=1e-6)
     assert logged["world/cam2/image", 0].shape == (32, 32, 3)
+    right = logged["world/cam2/right", 0]
+    pinhole = logged["world/cam2/rightpinhole", 0]
+    assert right.shape == (*pinhole["resolution"][::-1], 3)
+    assert pinhole["focal_length"] == pinhole["principal_point"]  # 90°, looking along its middle
     panorama = depth.panorama(16)
     np.testing.assert_allclose(
         logged["depth", 5][panorama.seen.numpy()], panorama.depth[panorama.seen], rtol=1e-5

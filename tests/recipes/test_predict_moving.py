@@ -13,7 +13,7 @@ import pytest
 import torch
 import trimesh
 
-from sphericalvision.cameras import EquirectangularCamera, read_trajectory, ring_rig, save_rig
+from sphericalvision.cameras import EquirectangularCamera, read_rig, read_trajectory, ring_rig, save_rig
 from sphericalvision.capture import Predictor
 from sphericalvision.capture.alignment import RigTurns
 from sphericalvision.capture.sources.frames import Selection
@@ -192,6 +192,33 @@ def test_a_rig_that_moves_sees_more_than_one_that_stands(
     with np.load(tmp_path / "out/10.204_depth.npz") as arrays:
         np.testing.assert_allclose(arrays["center"], trajectory.positions[1], atol=1e-6)
         np.testing.assert_allclose(arrays["index"], found.index, atol=1e-4)  # of the last, which moved
+
+
+@pytest.mark.parametrize(("taken", "cameras"), [("drive", ["cam1", "cam2"]), ("capture", ["camera"])])
+def test_splat_is_one_data_set_of_all_frames_with_the_images_of_their_moments(
+    run: Run, taken: str, cameras: list[str], tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    """Of a rig, and of one camera, whose images are rigs only as windows; what goes on begins anew."""
+    folder: Path = request.getfixturevalue(taken)
+    more = ("outputs=[splat]", "skip_existing=true", "voxel=0.3")
+    settings = (*(of_drive(folder) if taken == "drive" else words(folder)), *more)
+    run("predict", *settings, "stop=1")
+    run("predict", *settings)
+    scene = tmp_path / "out/splat/native"
+    assert sorted(path.name for path in (scene / "images").iterdir()) == cameras
+    frames = sorted(path.stem for path in (scene / "images" / cameras[0]).iterdir())
+    images = read_rig(scene / "sparse/0/images.bin", dtype=torch.float64)
+    assert images.names == [f"{camera}/{frame}" for frame in frames for camera in cameras]
+    changed = (scene / "transforms.json").stat().st_mtime_ns
+    run("predict", *settings)  # nothing is left
+    assert changed == (scene / "transforms.json").stat().st_mtime_ns
+    assert not (tmp_path / "out/fused.npz").exists()
+    if taken == "drive":
+        assert frames == ["10.204", "10.304"]
+        expected = read_trajectory(folder / "poses.txt").rig(TWO, [1, 2])
+        torch.testing.assert_close(images.positions.float(), expected.positions, atol=1e-5, rtol=0)
+        written, read = scene / "images/cam2/10.304.png", folder / "drive/cam2/10.304.png"
+        assert (read_image(written) == read_image(read)).all()
 
 
 @pytest.mark.parametrize(

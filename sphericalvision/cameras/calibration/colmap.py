@@ -16,9 +16,12 @@ References:
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
@@ -26,6 +29,7 @@ from sphericalvision.cameras.calibration.colmap_records import (
     MODELS,
     CameraRecord,
     ImageRecord,
+    PointRecords,
     RigRecord,
     SensorRecord,
     binary_files,
@@ -50,9 +54,9 @@ from sphericalvision.cameras.calibration.poses import quaternion_from_rotation, 
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, check_file
 from sphericalvision.geometry import invert_transform
-from sphericalvision.io.files import atomic_write
+from sphericalvision.io.files import write_bytes
 
-__all__ = ["contents", "recognizes", "write_colmap", "write_colmap_rig"]
+__all__ = ["contents", "recognizes", "write_colmap", "write_colmap_model", "write_colmap_rig"]
 
 _PARTS = ("cameras", "rigs", "images", "frames")
 _BY_NAME = (*(f"{part}.bin" for part in _PARTS), "rigs.txt", "images.txt", "frames.txt")
@@ -206,8 +210,7 @@ def write_colmap(cameras: Camera | Mapping[str, Camera], path: str | Path) -> No
     path = Path(path)
     make = binary_files if path.suffix == ".bin" else text_files
     (content,) = make(_records(named), [], []).values()
-    with atomic_write(path) as unfinished:
-        unfinished.write_bytes(content)
+    write_bytes(path, content)
 
 
 def write_colmap_rig(rig: CameraRig, path: str | Path) -> None:
@@ -220,25 +223,55 @@ def write_colmap_rig(rig: CameraRig, path: str | Path) -> None:
         ArgumentError: COLMAP has no such model; the message names formats that have it.
     """
     path = Path(path)
-    folder, make = path, text_files
-    if path.suffix in (".bin", ".txt"):
-        folder, make = path.parent, binary_files if path.suffix == ".bin" else text_files
-    cameras = _records(rig.cameras)
-    from_world = rig.camera_from_world.detach().cpu().double()
-    from_first = from_world @ rig.world_from_camera[0].detach().cpu().double()
-    images = [
-        ImageRecord("", place, _pose(pose), camera.id, f"{name}.png")
-        for place, (name, camera, pose) in enumerate(
-            zip(rig.names, cameras, from_world, strict=True), start=1
-        )
-    ]
+    suffixes = (path.suffix,) if path.suffix in (".bin", ".txt") else (".txt",)
+    folder = path.parent if path.suffix in (".bin", ".txt") else path
+    write_colmap_model({"": rig}, folder, suffixes=suffixes)
+
+
+def write_colmap_model(
+    frames: Mapping[str, CameraRig],
+    folder: Path,
+    points: PointRecords = PointRecords(),  # noqa: B008
+    sightings: Mapping[str, tuple[npt.NDArray[Any], npt.NDArray[Any]]] | None = None,
+    suffixes: Sequence[str] = (".txt", ".bin"),
+) -> None:
+    """Write a model of one rig at several moments.
+
+    Args:
+        frames: by name, the rig where it was then, with the same cameras; image ``<camera>/<frame>.png`` is of such
+            a frame, or ``<camera>.png`` where the frame's name is empty.
+        folder: of the files, ``sparse/0`` for most programs.
+        points: of the scene.
+        sightings: by name of the image without suffix, pixels ``(k, 2)`` of ours, and the rows of the points there.
+        suffixes: in which forms.
+
+    Raises:
+        ArgumentError: COLMAP has no such model; the message names formats that have it.
+    """
+    first = next(iter(frames.values()))
+    cameras = _records(first.cameras)
+    from_first = (
+        first.camera_from_world.detach().cpu().double() @ first.world_from_camera[0].detach().cpu().double()
+    )
+    images = []
+    for frame, rig in frames.items():
+        from_world = rig.camera_from_world.detach().cpu().double()
+        for name, camera, pose in zip(rig.names, cameras, from_world, strict=True):
+            image = f"{name}/{frame}" if frame else name
+            pixels, rows = (sightings or {}).get(image, (np.zeros((0, 2)), np.zeros(0, np.int64)))
+            record = ImageRecord(
+                "", len(images) + 1, _pose(pose), camera.id, f"{image}.png", pixels + 0.5, rows
+            )
+            images.append(record)
     sensors = [
         SensorRecord("CAMERA", camera.id, _pose(pose))
         for camera, pose in zip(cameras, from_first, strict=True)
     ]
-    for name, content in make(cameras, images, [RigRecord("", 1, sensors[0], sensors[1:])]).items():
-        with atomic_write(folder / name) as unfinished:
-            unfinished.write_bytes(content)
+    rigs = [RigRecord("", 1, sensors[0], sensors[1:])]
+    for suffix in suffixes:
+        make = binary_files if suffix == ".bin" else text_files
+        for name, content in make(cameras, images, rigs, points).items():
+            write_bytes(folder / name, content)
 
 
 def _pose(transform: Tensor) -> list[float]:

@@ -9,6 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
 from sphericalvision.cameras.calibration.files import data_lines, read_text
 from sphericalvision.cameras.calibration.parsing import numbers
 from sphericalvision.core import FileFormatError
@@ -17,6 +20,7 @@ __all__ = [
     "MODELS",
     "CameraRecord",
     "ImageRecord",
+    "PointRecords",
     "RigRecord",
     "SensorRecord",
     "binary_files",
@@ -67,7 +71,7 @@ class CameraRecord(NamedTuple):
 
 
 class ImageRecord(NamedTuple):
-    """An image of ``images.*``, without what was seen on it."""
+    """An image of ``images.*``; what was seen on it is written, and not read."""
 
     where: str
     id: int
@@ -75,6 +79,28 @@ class ImageRecord(NamedTuple):
     """qw qx qy qz tx ty tz, world to camera."""
     camera: int
     name: str
+    pixels: npt.NDArray[Any] = np.zeros((0, 2))
+    """``(k, 2)`` of the points that it shows."""
+    points: npt.NDArray[Any] = np.zeros(0, np.int64)
+    """``(k,)`` rows of these points in ``PointRecords``; point 0 has the id 1."""
+
+
+class PointRecords(NamedTuple):
+    """Points of ``points3D.*``; images say which of them they show."""
+
+    positions: npt.NDArray[Any] = np.zeros((0, 3))
+    colors: npt.NDArray[Any] = np.zeros((0, 3), np.uint8)
+
+    def tracks(self, images: Sequence[ImageRecord]) -> list[npt.NDArray[Any]]:
+        """Of each point ``(k, 2)``: ids of the images that show it, and its places among their points."""
+        sightings = [
+            np.stack((np.full(len(image.points), image.id), np.arange(len(image.points))), -1)
+            for image in images
+        ]
+        points = np.concatenate([image.points for image in images])
+        order = np.argsort(points, kind="stable")
+        ends = np.searchsorted(points[order], np.arange(1, len(self.positions)))
+        return np.split(np.concatenate(sightings)[order], ends)[: len(self.positions)]
 
 
 class SensorRecord(NamedTuple):
@@ -299,31 +325,49 @@ def _binary_sensor(file: _Bytes) -> tuple[str, int]:
     return _SENSOR_TYPES[type], id
 
 
+def _frames(images: list[ImageRecord], rig: RigRecord) -> list[list[ImageRecord]]:
+    """Images by frames, in each of which a rig has taken one with each of its cameras, in order."""
+    size = len(rig.sensors) + 1
+    return [images[first : first + size] for first in range(0, len(images), size)]
+
+
 def text_files(
-    cameras: list[CameraRecord], images: list[ImageRecord], rigs: list[RigRecord]
+    cameras: list[CameraRecord],
+    images: list[ImageRecord],
+    rigs: list[RigRecord],
+    points: PointRecords = PointRecords(),  # noqa: B008
 ) -> dict[str, bytes]:
-    """The files of a model by name, images of which the rigs have taken one each at a time; without points."""
+    """The files of a model by name; images come frame by frame, in which the one rig took one with each camera."""
     lines: dict[str, list[str]] = {
         "cameras": ["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"],
-        "images": ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME; an empty line"],
+        "images": ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME; X Y POINT3D_ID[]"],
         "rigs": ["# RIG_ID NUM_SENSORS REF_SENSOR_TYPE REF_SENSOR_ID SENSORS[]"],
         "frames": ["# FRAME_ID RIG_ID RIG_FROM_WORLD[] NUM_DATA_IDS DATA_IDS[]"],
-        "points3D": ["# no points"],
+        "points3D": ["# POINT3D_ID X Y Z R G B ERROR TRACK[] as IMAGE_ID POINT2D_IDX"],
     }
     for camera in cameras:
         lines["cameras"].append(_joined(camera.id, camera.model, *camera.size, *camera.parameters))
     for image in images:
-        lines["images"] += [_joined(image.id, *image.pose, image.camera, image.name), ""]
+        pairs = zip(image.pixels.tolist(), image.points.tolist(), strict=True)
+        shown = " ".join(f"{u:.3f} {v:.3f} {point + 1}" for (u, v), point in pairs)
+        lines["images"] += [_joined(image.id, *image.pose, image.camera, image.name), shown]
     for rig in rigs:
         others = [
             word for sensor in rig.sensors for word in (sensor.type, sensor.id, 1, *(sensor.pose or []))
         ]
         head = (rig.id, len(rig.sensors) + 1, rig.reference.type, rig.reference.id)
         lines["rigs"].append(_joined(*head, *others))
-        data = [word for image in images for word in ("CAMERA", image.camera, image.id)]
-        lines["frames"].append(_joined(rig.id, rig.id, *images[0].pose, len(images), *data))
-    texts = lines if images else {"cameras": lines["cameras"]}
-    return {f"{name}.txt": ("\n".join(text) + "\n").encode() for name, text in texts.items()}
+        for number, frame in enumerate(_frames(images, rig), start=1):
+            data = [word for image in frame for word in ("CAMERA", image.camera, image.id)]
+            lines["frames"].append(_joined(number, rig.id, *frame[0].pose, len(frame), *data))
+    if not images:
+        lines = {"cameras": lines["cameras"]}
+    else:
+        rows = zip(*points, points.tracks(images), strict=True)
+        for number, parts in enumerate(rows, start=1):
+            position, color, track = (part.ravel().tolist() for part in parts)
+            lines["points3D"].append(_joined(number, *position, *color, 0, *track))
+    return {f"{name}.txt": ("\n".join(text) + "\n").encode() for name, text in lines.items()}
 
 
 def _joined(*words: object) -> str:
@@ -331,7 +375,10 @@ def _joined(*words: object) -> str:
 
 
 def binary_files(
-    cameras: list[CameraRecord], images: list[ImageRecord], rigs: list[RigRecord]
+    cameras: list[CameraRecord],
+    images: list[ImageRecord],
+    rigs: list[RigRecord],
+    points: PointRecords = PointRecords(),  # noqa: B008
 ) -> dict[str, bytes]:
     """The same in binary."""
     parts = [struct.pack("<Q", len(cameras))]
@@ -343,18 +390,26 @@ def binary_files(
         return files
     parts = [struct.pack("<Q", len(images))]
     for image in images:
+        shown = np.empty(len(image.points), [("pixel", "<f8", 2), ("point", "<u8")])
+        shown["pixel"], shown["point"] = image.pixels, image.points + 1
         parts.append(struct.pack("<I7dI", image.id, *image.pose, image.camera))
-        parts.append(image.name.encode() + b"\0" + struct.pack("<Q", 0))
+        parts.append(image.name.encode() + b"\0" + struct.pack("<Q", len(shown)) + shown.tobytes())
     files["images.bin"] = b"".join(parts)
     parts = [struct.pack("<Q", len(rigs))]
-    frames = [struct.pack("<Q", len(rigs))]
+    grouped = [(rig, frame) for rig in rigs for frame in _frames(images, rig)]
+    frames = [struct.pack("<Q", len(grouped))]
     for rig in rigs:
         parts.append(struct.pack("<IIiI", rig.id, len(rig.sensors) + 1, 0, rig.reference.id))
         parts += [struct.pack("<iIB7d", 0, sensor.id, 1, *(sensor.pose or [])) for sensor in rig.sensors]
-        frames.append(struct.pack("<II7dI", rig.id, rig.id, *images[0].pose, len(images)))
-        frames += [struct.pack("<iIQ", 0, image.camera, image.id) for image in images]
+    for number, (rig, frame) in enumerate(grouped, start=1):
+        frames.append(struct.pack("<II7dI", number, rig.id, *frame[0].pose, len(frame)))
+        frames += [struct.pack("<iIQ", 0, image.camera, image.id) for image in frame]
+    rows = [struct.pack("<Q", len(points.positions))]
+    for number, (position, color, track) in enumerate(zip(*points, points.tracks(images), strict=True), 1):
+        rows.append(struct.pack("<Q3d3BdQ", number, *position, *color, 0.0, len(track)))
+        rows.append(track.astype("<u4").tobytes())
     return files | {
         "rigs.bin": b"".join(parts),
         "frames.bin": b"".join(frames),
-        "points3D.bin": struct.pack("<Q", 0),
+        "points3D.bin": b"".join(rows),
     }

@@ -42,7 +42,7 @@ from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.io.images import read_mask
 
-__all__ = ["contents", "recognizes", "write_nerfstudio"]
+__all__ = ["contents", "nerfstudio_content", "recognizes", "write_nerfstudio"]
 
 _LENSES = (
     Lens("PINHOLE", "pinhole", "fl_x=fx fl_y=fy cx cy"),
@@ -190,7 +190,15 @@ def write_nerfstudio(cameras: Camera | CameraRig, path: str | Path) -> None:
     Raises:
         ArgumentError: nerfstudio has no such model, or the rig has several.
     """
-    rig = as_rig(cameras)
+    write_json(Path(path), nerfstudio_content(as_rig(cameras)))
+
+
+def nerfstudio_content(rig: CameraRig) -> dict[str, Any]:
+    """What such a file holds.
+
+    Raises:
+        ArgumentError: as ``write_nerfstudio``.
+    """
     kinds = {}
     frames = []
     poses = rig.world_from_camera.detach().cpu().double() @ OPENGL_FROM_OPENCV
@@ -202,8 +210,7 @@ def write_nerfstudio(cameras: Camera | CameraRig, path: str | Path) -> None:
             f"rig: nerfstudio has one camera model for all frames, got {kinds}; convert the others: "
             "convert(camera, to=...), or write 'native'"
         )
-    content = {"camera_model": next(iter(kinds.values())), "frames": frames}
-    write_json(Path(path), content)
+    return {"camera_model": next(iter(kinds.values())), "frames": frames}
 
 
 def _values(camera: Camera) -> tuple[str, dict[str, Any]]:

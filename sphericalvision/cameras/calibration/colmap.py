@@ -253,7 +253,7 @@ def write_colmap_model(
     from_first = (
         first.camera_from_world.detach().cpu().double() @ first.world_from_camera[0].detach().cpu().double()
     )
-    images = []
+    images: list[ImageRecord] = []
     for frame, rig in frames.items():
         from_world = rig.camera_from_world.detach().cpu().double()
         for name, camera, pose in zip(rig.names, cameras, from_world, strict=True):

@@ -66,11 +66,12 @@ FILES = {
     "glb": "points.glb",
     "viewer": "viewer.html",
     "npz": "depth.npz",
+    "splat": "splat/pinhole/transforms.json",
 }
 """Output -> what the name of its file for a frame ends with; beside depth there is ``COLOR``."""
 COLOR = "color.png"
-RESTARTED = ("timeline", "rerun", "splat")
-"""Outputs of all frames that cannot be continued: where one frame is left, all are."""
+RESTARTED = ("timeline", "rerun")
+"""Outputs of all frames that cannot be continued: where one frame is left, all are; so is ``splat`` of posed frames."""
 COLOURED = ("depth", "viewer", "video", "timeline")
 """Outputs that show depth in colours."""
 
@@ -297,6 +298,7 @@ class Outputs:
         self._timeline: Timeline | None = None
         self._recording: RerunLog | None = None
         self._splat: SplatScene | None = None
+        self._restarted = (*RESTARTED, "splat") if settings.posed else RESTARTED
         self._number = 0
         self._names: list[str] = []
         self._intact: dict[str, bool] = {}
@@ -329,7 +331,7 @@ class Outputs:
     def remaining(self, frames: Sequence[str]) -> set[str]:
         """Those of the frames that an output lacks."""
         frames_left = {frame for frame in frames if not self.has(frame)}
-        restarted = any(output in RESTARTED for output in self.settings.outputs)
+        restarted = any(output in self._restarted for output in self.settings.outputs)
         return set(frames) if frames_left and restarted else frames_left
 
     def _frames_of(self, output: str) -> Mapping[str, None]:
@@ -389,28 +391,29 @@ class Outputs:
                 self.fused.add(frame, points, panoramas.panorama, depth.rig.center, depth.rig.origin)
                 if "fused" in self.settings.outputs:
                     self.fused.save(self.folder / FUSED, now=False)
-            self._names.append(frame)
-            if "splat" in self.settings.outputs:
-                self._add_splat(frame, depth)
             self._number += 1
+            self._names.append(frame)
             paths = save_frame(self.folder, prefix_of(frame), panoramas, self.settings)
+            if "splat" in self.settings.outputs:
+                paths += self._add_splat(frame, depth)
             self.written += paths
-            if outputs := [o for o in self.settings.outputs if o not in _VIDEOS and o not in RESTARTED]:
-                self._record.add(outputs, [frame], paths)
+            each = [o for o in self.settings.outputs if o not in _VIDEOS and o not in self._restarted]
+            if each:
+                self._record.add(each, [frame], paths)
 
-    def _add_splat(self, frame: str, depth: Depth) -> None:
-        prefix = "" if self.settings.posed else prefix_of(frame)
-        if self._splat is None or not self.settings.posed:
-            self._splat = SplatScene(self.folder / f"{prefix}splat", self.settings.min_confidence)
+    def _add_splat(self, frame: str, depth: Depth) -> list[Path]:
+        """Add a frame to the data set of all, or write its own."""
+        posed, least = self.settings.posed, self.settings.min_confidence
+        if self._splat is None:
+            self._splat = SplatScene(self.folder / "splat", least)
+        if not posed:
+            self._splat.folder = self.folder / f"{prefix_of(frame)}splat"
         self._splat.add(frame, depth)
-        if not self.settings.posed:
-            cloud = depth.points(self.settings.min_confidence, voxel=self.settings.voxel)
-            self._close_splat(self._splat, in_world(cloud, depth.rig.origin))
-
-    def _close_splat(self, scene: SplatScene, cloud: SurfacePoints) -> None:
-        self.written += scene.close(cloud)
-        self.warnings += [note for note in scene.notes if note not in self.warnings]
-        self._record.replace("splat", self._names, self.written[-1])
+        self.warnings += [note for note in self._splat.notes if note not in self.warnings]
+        if posed:
+            return []
+        cloud = depth.points(least, voxel=self.settings.voxel)
+        return self._splat.close(in_world(cloud, depth.rig.origin))
 
     def _warn(self, depth: Depth) -> None:
         """Say what is probably wrong, told from the first frame."""
@@ -434,7 +437,8 @@ class Outputs:
             self._write_shares()
             self.written.append(self._table)
         if self._splat is not None and self.settings.posed and self.fused is not None:
-            self._close_splat(self._splat, self.fused.points())
+            self.written += self._splat.close(self.fused.points())
+            self._record.replace("splat", self._names, self.folder / FILES["splat"])
         if self.fused is not None and "fused" in self.settings.outputs:
             self.fused.save(self.folder / FUSED)
             self.written += _save_clouds(

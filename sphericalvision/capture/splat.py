@@ -89,6 +89,7 @@ class SplatScene:
         min_confidence: less confident depth is not written.
 
     Attributes:
+        folder: of both; another one may be set when one is closed, for other frames of the same cameras.
         notes: what a user should know of lenses that another model stands for.
     """
 
@@ -112,8 +113,9 @@ class SplatScene:
             dict(zip(map(part_of_name, names), own.cameras.values(), strict=True)), own.world_from_camera
         )
         masks = {name: rig.masks.get(view) for name, view in zip(own.names, moment, strict=True)}
-        if not self._views:
+        if not self._frames:
             self._origin = rig.origin
+        if not self._views:
             self._begin(own, masks, math.sqrt(4 * math.pi / depth.index.numel()))
         frame = part_of_name(frame or "0")
         surface = self._surface(depth)
@@ -164,6 +166,7 @@ class SplatScene:
                     save_point_cloud(folder / "points3D.ply", points.float(), colors, cloud.normals)
                 )
             write_json(folder / "transforms.json", content)
+        self._frames = {}
         return written
 
     def _begin(self, rig: CameraRig, masks: Mapping[str, Tensor | None], spacing: float) -> None:

@@ -28,6 +28,7 @@ FILES = {
     "glb": "9_points.glb",
     "viewer": "9_viewer.html",
     "npz": "9_depth.npz",
+    "splat": "9_splat/pinhole/transforms.json",
     "video": "depth.mp4",
     "timeline": "timeline.html",
     "rerun": "depth.rrd",

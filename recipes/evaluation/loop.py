@@ -18,7 +18,7 @@ from sphericalvision.recipes.evaluation.methods import Answer, Method, Scale
 from sphericalvision.recipes.evaluation.records import Errors, Record
 from sphericalvision.sweep import index_from_inverse_depth
 
-__all__ = ["Measure", "VertexErrors", "errors_of_frame", "evaluate", "mean_errors_by_method", "records_of"]
+__all__ = ["Measure", "VertexErrors", "errors_of_frame", "evaluate", "mean_errors_by_method"]
 
 
 @torch.no_grad()
@@ -26,7 +26,7 @@ def evaluate(
     methods: Sequence[Method],
     frames: FrameSet,
     measure: Measure,
-    records: Mapping[str, Record] | None = None,
+    folder: Path | None = None,
     count_cost: bool = False,
 ) -> dict[str, Record]:
     """Take the errors of methods on frames, of each method those that its record lacks; all see the same batches.
@@ -35,24 +35,27 @@ def evaluate(
         methods: with names that differ.
         frames: what is estimated.
         measure: what errors.
-        records: name of a method -> its record, which is added to; new ones when not given.
+        folder: where records are kept, ``records/FRAMES/METHOD.json``; nothing is without one.
         count_cost: whether to count what a frame costs each method, and the time that it takes.
 
     Returns:
-        The records.
+        Name of a method -> its record, of these frames alone.
     """
-    records = {method.name: Record() for method in methods} if records is None else dict(records)
+    key = {**frames.key, "generation": measure.generation, "hypotheses": list(measure.scale)}
+    home = None if folder is None else folder / "records" / frames.name
+    records = {
+        method.name: Record(home and home / f"{method.name}.json", {**key, "method": method.identity})
+        for method in methods
+    }
     missing = {
         method.name: [
             name for name in frames.names if not records[method.name].has(name, name in frames.drawn)
         ]
         for method in methods
     }
-    remaining = set().union(*missing.values())
-    if not remaining:
-        return records
+    remaining = [name for name in frames.names if any(name in names for names in missing.values())]
     try:
-        for names, batch in frames.batches([name for name in frames.names if name in remaining]):
+        for names, batch in frames.batches(remaining) if remaining else ():
             batch = _on(batch, measure.directions.device)
             truth = measure.truth(batch)
             for method in methods:
@@ -77,21 +80,7 @@ def evaluate(
         for method in methods:
             if missing[method.name]:
                 records[method.name].save()
-    return records
-
-
-def records_of(
-    methods: Sequence[Method], frames: FrameSet, measure: Measure, folder: Path | None
-) -> dict[str, Record]:
-    """What there is of methods on frames: ``records/FRAMES/METHOD.json`` of a folder, by the name of the method."""
-    key = {**frames.key, "generation": measure.generation, "hypotheses": list(measure.scale)}
-    home = None if folder is None else folder / "records" / frames.name
-    return {
-        method.name: Record(
-            None if home is None else home / f"{method.name}.json", {**key, "method": method.identity}
-        )
-        for method in methods
-    }
+    return {name: record.only(frames.names) for name, record in records.items()}
 
 
 def _on(batch: Batch, device: torch.device) -> Batch:

@@ -18,7 +18,7 @@ from sphericalvision.core import FileFormatError
 from sphericalvision.io.images import write_image
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.cli import console
-from sphericalvision.recipes.evaluation.loop import evaluate, records_of
+from sphericalvision.recipes.evaluation.loop import evaluate
 from sphericalvision.recipes.evaluation.methods import SCALE, Method, check_names, make_method
 from sphericalvision.recipes.evaluation.pictures import (
     DrawnFrame,
@@ -169,13 +169,11 @@ def scores(
     return run_track(track_frames, [method], None)["network"].means
 
 
-def run_track(frames: TrackFrames, methods: Sequence[Method], folder: Path | None) -> Mapping[str, Record]:
+def run_track(frames: TrackFrames, methods: Sequence[Method], folder: Path | None) -> dict[str, Record]:
     """Score methods on frames of a track, those that are not in ``folder`` yet; the records by method."""
-    measure = PlaceErrors(frames.size.level)
-    records = records_of(methods, frames, measure, folder)
     with threads_kept():
         torch.set_num_threads(1)  # for times that mean something
-        return evaluate(methods, frames, measure, records, count_cost=True)
+        return evaluate(methods, frames, PlaceErrors(frames.size.level), folder, count_cost=True)
 
 
 def _measure(frames: TrackFrames, words: tuple[str, ...], folder: Path, rows: int) -> dict[str, Record]:
@@ -186,7 +184,7 @@ def _measure(frames: TrackFrames, words: tuple[str, ...], folder: Path, rows: in
     if not (place.is_file() and _key_of(place) == key):
         write_image(place, frames_sheet({name: _drawn(frames, name, records, rows) for name in frames.drawn}))
         write_json(place.with_suffix(".json"), key)
-    return {name: record.only(frames.names) for name, record in records.items()}
+    return records
 
 
 def _drawn(frames: TrackFrames, name: str, records: Mapping[str, Record], rows: int) -> DrawnFrame:

@@ -21,7 +21,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.io.images import write_image
 from sphericalvision.recipes.app.cli import choose_device, console, print_config
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Number, OnlyWith, Size, Text
-from sphericalvision.recipes.evaluation.loop import evaluate, records_of
+from sphericalvision.recipes.evaluation.loop import evaluate
 from sphericalvision.recipes.evaluation.pictures import DrawnFrame, frames_sheet
 from sphericalvision.recipes.evaluation.protocols import Protocols
 from sphericalvision.recipes.evaluation.records import Record
@@ -119,12 +119,10 @@ def study(config: DictConfig, folder: Path) -> Results:
     drawn: dict[str, DrawnFrame] = {}
     for view in all_views:
         frames = view_frames(config, view)
-        records = records_of(methods, frames, measure, folder)
         pl.seed_everything(config.seed, verbose=False)
-        evaluate(methods, frames, measure, records)
+        records = all_records[view.name] = evaluate(methods, frames, measure, folder)
         for method in methods:  # at level 7 tables of a rig are hundreds of megabytes for each seed
             method.forget_rigs()
-        all_records[view.name] = {name: record.only(frames.names) for name, record in records.items()}
         if view.inputs == "fisheye":
             drawn[f"{view.angle_deg:g} degrees"] = drawn_frame(config, frames, methods, records)
     results = Results(methods, all_records)

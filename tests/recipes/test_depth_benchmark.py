@@ -20,7 +20,7 @@ from sphericalvision.io.images import read_image
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep
 from sphericalvision.recipes.datamodules.scenes import SceneDataModule
 from sphericalvision.recipes.evaluation import methods, track_frames
-from sphericalvision.recipes.evaluation.loop import errors_of_frame, records_of
+from sphericalvision.recipes.evaluation.loop import errors_of_frame
 from sphericalvision.recipes.evaluation.methods import SCALE, Method, identity_of, make_method
 from sphericalvision.recipes.evaluation.places import FrameTruth, PlaceErrors
 from sphericalvision.recipes.evaluation.records import Record
@@ -141,7 +141,7 @@ def test_weights_change_the_identity_of_a_method_and_its_records(tmp_path: Path)
     assert run_track(one, range(1)).frames == first.frames  # its seconds, too
     assert run_track(two, range(1)).frames != first.frames
     run_track(two, range(1, 2))
-    both = records_of([two], TrackFrames(track, range(2), TINY, None), PlaceErrors(3), tmp_path)["sweep"]
+    both = run_track(two, range(2))
     assert list(both.drawn) == [track.frame_name(n) for n in (0, 1)]
     assert list(run_track(one, range(1, 2)).drawn) == [track.frame_name(1)]
     with pytest.raises(FileNotFoundError, match="nowhere"):

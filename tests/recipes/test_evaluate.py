@@ -23,7 +23,6 @@ from sphericalvision.models.depth_network import DepthEstimate
 from sphericalvision.recipes.evaluation.frames import SampleFrames
 from sphericalvision.recipes.evaluation.loop import VertexErrors, evaluate, mean_errors_by_method
 from sphericalvision.recipes.evaluation.methods import Answer, AsUsed, Method, Scale, photographs_of
-from sphericalvision.recipes.evaluation.records import Record
 from tests.recipes.tiny import TINY_SCENES, Run
 from tests.worlds import scenes as world_scenes
 
@@ -159,19 +158,21 @@ def test_errors_count_where_the_truth_does_and_the_method_says_something() -> No
 def test_frames_that_are_recorded_are_not_asked_for_again(frames: dict[str, Any], tmp_path: Path) -> None:
     """Records are kept as files; another key, or a damaged file, is measured anew."""
     measure, methods = VertexErrors(Scale(8, 0.5), 2), [Method("net", Constant())]
+    asked = []
 
-    def record(key: dict[str, Any]) -> Record:
-        return Record(tmp_path / "net.json", key)
+    def samples(key: int) -> SampleFrames:
+        return SampleFrames(lambda numbers: asked.append(numbers) or [frames], 2, key={"n": key})  # type: ignore[func-returns-value]
 
-    first = evaluate(methods, in_batches(frames), measure, {"net": record({"n": 1})})["net"]
+    first = evaluate(methods, samples(1), measure, tmp_path)["net"]
     assert list(first.frames) == ["0", "1"]
-    assert record({"n": 1}).means == first.means
-    assert record({"n": 2}).frames == {}
-    nothing = SampleFrames(lambda numbers: [], 2)
-    again = evaluate(methods, nothing, measure, {"net": record({"n": 1})})["net"]
+    again = evaluate(methods, samples(1), measure, tmp_path)["net"]
     assert again.means == first.means
-    (tmp_path / "net.json").write_text("{")
-    assert record({"n": 1}).frames == {}
+    assert asked == [[0, 1]]
+    evaluate(methods, samples(2), measure, tmp_path)
+    assert len(asked) == 2
+    (tmp_path / "records/evaluating/net.json").write_text("{")
+    evaluate(methods, samples(2), measure, tmp_path)
+    assert len(asked) == 3
 
 
 def test_the_command_evaluates_as_predict_predicts(run: Run, tmp_path: Path) -> None:

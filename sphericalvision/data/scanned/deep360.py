@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -74,13 +74,8 @@ class Deep360Dataset(ScannedFrames):
                 f"{self.root.absolute()}: no ep1_500frames/{FOLDERS[split]} or alike; Deep360 comes with its splits "
                 f"{', '.join(FOLDERS.values())}"
             )
-        self.images: dict[str, dict[str, Path]] = {}
-        self._depths: dict[str, Path] = {}
-        lacking: dict[str, str] = {}
-        for folder in folders:
-            self._add(folder, lacking)
-        where = f"rgb and depth in ep*_500frames/{FOLDERS[split]}"
-        self.names = self.complete(list(self._depths), lacking, where)
+        frames = (frame for folder in folders for frame in self._frames(folder))
+        self.take(frames, f"rgb and depth in ep*_500frames/{FOLDERS[split]}")
         first = self.images[self.names[0]]["cam1"]
         rows, columns = read_image_size(first)
         if rows != 2 * columns:
@@ -93,17 +88,15 @@ class Deep360Dataset(ScannedFrames):
         self.fixed_rig = CameraRig(dict.fromkeys(PICTURES, camera), poses)
         self.rays = Equirectangular(columns, rows).directions @ OURS_FROM_TURNED.T
 
-    def _add(self, folder: Path, lacking: dict[str, str]) -> None:
+    @staticmethod
+    def _frames(folder: Path) -> Iterator[tuple[str, dict[str, Path], Path]]:
+        """Name, pictures and depth of the frames of a split in one of the six parts."""
         for depth in sorted((folder / "depth").glob("*_depth.npz")):
             frame = depth.stem.removesuffix("_depth")
-            name = f"{folder.parent.name}/{folder.name}/{frame}"
-            self._depths[name] = depth
-            self.images[name] = {
+            files = {
                 camera: folder / "rgb" / f"{frame}_{picture}.png" for camera, picture in PICTURES.items()
             }
-            for file in self.images[name].values():
-                if not file.is_file():
-                    lacking[name] = str(file.relative_to(self.root))
+            yield f"{folder.parent.name}/{folder.name}/{frame}", files, depth
 
     def image(self, name: str, camera: str, size: tuple[int, int]) -> Tensor:
         """A picture, turned a quarter to the left."""
@@ -112,7 +105,7 @@ class Deep360Dataset(ScannedFrames):
 
     def points(self, name: str) -> Tensor:
         """What camera 1's map of depth says."""
-        path, size = self._depths[name], self.rays.shape[1::-1]
+        path, size = self.truths[name], self.rays.shape[1::-1]
         try:
             depth = _array(path, 16 * math.prod(size)).squeeze().astype(np.float32)
         except (OSError, ValueError, LookupError, zipfile.BadZipFile) as error:

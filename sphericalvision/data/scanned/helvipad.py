@@ -103,21 +103,16 @@ class HelvipadDataset(ScannedFrames):
         self.truth_folder = "depth_maps_augmented" if augmented else "depth_maps"
         bottom = self.folder / "images_bottom"
         names = sorted(str(p.relative_to(bottom).with_suffix("")) for p in bottom.glob("*/*.jpg"))
-        needed = {"images_top": ".jpg", self.truth_folder: ".png"}
-        lacking = {
-            name: f"{folder}/{name}{suffix}"
-            for name in names
-            for folder, suffix in needed.items()
-            if not (self.folder / folder / f"{name}{suffix}").is_file()
-        }
-        self.names = self.complete(
-            names, lacking, f"images_top, images_bottom and {self.truth_folder} in {split}/"
-        )
         cameras = ("bottom", "top")
-        self.images = {
-            name: {camera: self.folder / f"images_{camera}" / f"{name}.jpg" for camera in cameras}
-            for name in self.names
-        }
+        frames = (
+            (
+                name,
+                {camera: self.folder / f"images_{camera}" / f"{name}.jpg" for camera in cameras},
+                self.folder / self.truth_folder / f"{name}.png",
+            )
+            for name in names
+        )
+        self.take(frames, f"images_top, images_bottom and {self.truth_folder} in {split}/")
         size = read_image_size(bottom / f"{self.names[0]}.jpg")
         if size[0] * COLUMNS != size[1] * ROWS:
             raise FileFormatError(

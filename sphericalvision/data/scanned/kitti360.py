@@ -7,7 +7,7 @@ At one moment the two fisheyes see almost nothing twice, so a frame here is a wi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -74,17 +74,15 @@ class Kitti360Dataset(ScannedFrames):
         # The vehicle has x forward, y to the right and z down; ours is x right, y down, z forward.
         axes = [[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
         self.ours_from_pose = torch.tensor(axes, dtype=torch.float64)
-        self.images: dict[str, dict[str, Path]] = {}
         self._poses: dict[str, Tensor] = {}
         self._motions: dict[str, tuple[Tensor, Tensor]] = {}
-        lacking_files: dict[str, str] = {}
-        for sequence in sequences:
-            self._add(sequence, window, spacing, lacking_files)
-        self.names = self.complete(
-            list(self.images), lacking_files, "images, scans and poses of one sequence or more"
-        )
+        windows = (frame for sequence in sequences for frame in self._windows(sequence, window, spacing))
+        self.take(windows, "images, scans and poses of one sequence or more")
 
-    def _add(self, sequence: str, window: int, spacing: float, lacking: dict[str, str]) -> None:
+    def _windows(
+        self, sequence: str, window: int, spacing: float
+    ) -> Iterator[tuple[str, dict[str, Path], Path]]:
+        """Name, images and scan of the windows of a sequence, whose poses and motions are kept."""
         trajectory = read_trajectory(self.root / "data_poses" / sequence / "poses.txt")
         numbers_of = [int(name) for name in trajectory.names]
         for chosen in trajectory.windows(window, spacing):
@@ -98,14 +96,13 @@ class Kitti360Dataset(ScannedFrames):
             self._poses[name] = middle_from_pose
             self._motions[name] = self._motion(trajectory, numbers_of, middle)
             raw = self.root / "data_2d_raw" / sequence
-            self.images[name] = {
+            images = {
                 f"{camera}-{k}": raw / camera / "data_rgb" / f"{frame:010d}.png"
                 for k, frame in enumerate(frames)
                 for camera in FISHEYES
             }
-            for file in (*self.images[name].values(), self._scan(name)):
-                if not file.is_file():
-                    lacking[name] = str(file.relative_to(self.root))
+            scans = self.root / "data_3d_raw" / sequence / "velodyne_points" / "data"
+            yield name, images, scans / f"{numbers_of[middle]:010d}.bin"
 
     def rig(self, name: str) -> CameraRig:
         """Both fisheyes at all poses of the window."""
@@ -120,7 +117,7 @@ class Kitti360Dataset(ScannedFrames):
 
     def points(self, name: str) -> Tensor:
         """Of the middle pose."""
-        points = at_one_time(read_points(self._scan(name)), *self._motions[name])
+        points = at_one_time(read_points(self.truths[name]), *self._motions[name])
         return transform_points((self.ours_from_pose @ self.pose_from_velo).float(), points)
 
     def _motion(self, trajectory: Trajectory, frames: Sequence[int], row: int) -> tuple[Tensor, Tensor]:
@@ -129,10 +126,6 @@ class Kitti360Dataset(ScannedFrames):
         motion = axis_angle_from_transform(invert_transform(now) @ before)
         turns = frames[row] - frames[row - 1]
         return motion[0].float() / turns, motion[1].float() / turns
-
-    def _scan(self, name: str) -> Path:
-        sequence, frame = name.split("/")
-        return self.root / "data_3d_raw" / sequence / "velodyne_points" / "data" / f"{frame}.bin"
 
 
 def at_one_time(

@@ -67,31 +67,26 @@ class OmniPusDataset(ScannedFrames):
             {n: read_mask(m, cameras[n].image_size) for n, m in masks.items() if m.is_file()},
         )
         self.truth = Equirectangular(*TRUTH_SIZE, max_latitude=latitude)
-        self.images: dict[str, dict[str, Path]] = {}
-        self._truths: dict[str, Path] = {}
-        lacking: dict[str, str] = {}
-        for part, tests in TEST_CASES.items():
-            for case in range(1, CASES[part] + 1):
-                if (case in tests) == (split == "test"):
-                    self._add(self.root / f"omnipus{part}" / f"omnipus{part.upper()}_case{case}", lacking)
-        self.names = self.complete(
-            list(self._truths), lacking, "omnipus{a,b,c}/omnipusX_caseN with images and omnidepth_gt"
+        cases = (
+            self.root / f"omnipus{part}" / f"omnipus{part.upper()}_case{case}"
+            for part, tests in TEST_CASES.items()
+            for case in range(1, CASES[part] + 1)
+            if (case in tests) == (split == "test")
         )
-
-    def _add(self, case: Path, lacking: dict[str, str]) -> None:
-        for truth in sorted((case / "omnidepth_gt").glob("*.tiff")):
-            name = f"{case.parent.name}/{case.name}/{truth.stem}"
-            self._truths[name] = truth
-            self.images[name] = {
-                camera: case / f"resize_{camera}" / f"{truth.stem}.png" for camera in self.fixed_rig.names
-            }
-            missing = [camera for camera, file in self.images[name].items() if not file.is_file()]
-            if missing:
-                lacking[name] = f"an image of {missing[0]}"
+        frames = (
+            (
+                f"{case.parent.name}/{case.name}/{truth.stem}",
+                {camera: case / f"resize_{camera}" / f"{truth.stem}.png" for camera in cameras},
+                truth,
+            )
+            for case in cases
+            for truth in sorted((case / "omnidepth_gt").glob("*.tiff"))
+        )
+        self.take(frames, "omnipus{a,b,c}/omnipusX_caseN with images and omnidepth_gt")
 
     def points(self, name: str) -> Tensor:
         """What the map of inverse depth says, around the rig's centre."""
-        near = read_raster(self._truths[name], 1.0, TRUTH_SIZE, "inverse depth")
+        near = read_raster(self.truths[name], 1.0, TRUTH_SIZE, "inverse depth")
         valid = near.isfinite() & (near > 0)
         return self.truth.directions[valid] / near[valid][:, None] + self.fixed_rig.center
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +44,7 @@ class ScannedFrames(Dataset[Sample]):
     Attributes:
         names: of the frames.
         images: frame -> camera name -> file.
+        truths: frame -> file that its points are from, where ``take`` is told.
         fixed_rig: of all frames, if it is the same.
         left_out: sentences about frames that lack something.
     """
@@ -52,6 +53,7 @@ class ScannedFrames(Dataset[Sample]):
     """What the folder is called where it is given."""
     names: list[str]
     images: Mapping[str, Mapping[str, Path]]
+    truths: Mapping[str, Path]
     fixed_rig: CameraRig
 
     def __init__(
@@ -116,6 +118,22 @@ class ScannedFrames(Dataset[Sample]):
                 "and is the scanner's pose right?",
                 stacklevel=3,
             )
+
+    def take(self, frames: Iterable[tuple[str, Mapping[str, Path], Path]], where: str) -> None:
+        """Have the frames of which all files are there: the name of each, its images by camera, and its truth.
+
+        Raises:
+            MissingFileError: none is complete; ``where`` says what was expected.
+        """
+        images: dict[str, Mapping[str, Path]] = {}
+        truths: dict[str, Path] = {}
+        lacking: dict[str, str] = {}
+        for name, files, truth in frames:
+            images[name], truths[name] = files, truth
+            if missing := [file for file in (*files.values(), truth) if not file.is_file()]:
+                lacking[name] = str(missing[0].relative_to(self.root))
+        self.images, self.truths = images, truths
+        self.names = self.complete(list(images), lacking, where)
 
     def complete(self, wanted: Sequence[str], lacking: Mapping[str, str], where: str) -> list[str]:
         """Those of the wanted frames that lack nothing; the others are counted in ``left_out``.

@@ -80,20 +80,16 @@ class WideDepthDataset(ScannedFrames):
                 raise MissingFileError(
                     f"{self.root.absolute()}: no scene {scene!r}; it has {len(there)}, {', '.join(there[:3])} ..."
                 )
-        self.images: dict[str, dict[str, Path]] = {}
-        self._depths: dict[str, Path] = {}
-        lacking: dict[str, str] = {}
-        for scene in there if scenes is None else scenes:
-            folder = self.root / scene / part
-            self.images[scene] = {
-                camera: folder / camera.upper() / "fisheye.png" for camera in STEREO[stereo]
-            }
-            self._depths[scene] = folder / "CENTER" / "depth" / "fisheye.png"
-            needed = (*self.images[scene].values(), self._depths[scene])
-            if missing := [file for file in needed if not file.is_file()]:
-                lacking[scene] = str(missing[0].relative_to(self.root / scene))
-        where = f"<scene>/{part} with fisheye.png of {', '.join(STEREO[stereo])} and CENTER/depth"
-        self.names = self.complete(list(self._depths), lacking, where)
+        folders = {scene: self.root / scene / part for scene in (there if scenes is None else scenes)}
+        frames = (
+            (
+                scene,
+                {camera: folder / camera.upper() / "fisheye.png" for camera in STEREO[stereo]},
+                folder / "CENTER" / "depth" / "fisheye.png",
+            )
+            for scene, folder in folders.items()
+        )
+        self.take(frames, f"<scene>/{part} with fisheye.png of {', '.join(STEREO[stereo])} and CENTER/depth")
         camera = self._lens(field_of_view, calibration)
         poses = torch.eye(4).repeat(len(STEREO[stereo]), 1, 1)
         poses[:, :2, 3] = torch.tensor([PLACES[name] for name in STEREO[stereo]]) * baseline / 1000
@@ -123,6 +119,6 @@ class WideDepthDataset(ScannedFrames):
     def points(self, name: str) -> Tensor:
         """What the map of depth of the camera in the centre says."""
         camera = self.fixed_rig.cameras["center"]
-        depth = read_raster(self._depths[name], 1000.0, camera.image_size, "depth")
+        depth = read_raster(self.truths[name], 1000.0, camera.image_size, "depth")
         valid = (depth > 0) & self.rays.valid
         return (depth[..., None] * self.rays.directions)[valid]

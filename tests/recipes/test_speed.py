@@ -152,7 +152,7 @@ def test_every_group_measures_its_rows(tmp_path: Path, monkeypatch: pytest.Monke
     expected = {
         "sweep": {"plain", OURS},
         "training": {"plain", OURS, f"{OURS}, recompute"},
-        "convolutions": {"planar", "tangent planes", "hex along charts", "crown, both directions"},
+        "convolutions": {"planar", "hex along charts", "crown, both directions"},
         "data": {"room", "bare", "read"},
         "fps": {"live, 1 threads", "fast, 1 threads"},
         "presets": {"live: clean", "fast: clean"},

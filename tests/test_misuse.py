@@ -142,6 +142,9 @@ depth_from_z(np.zeros(SIZE), camera()) -> z: numpy
 points_from_depth(torch.ones(SIZE).long(), camera()) -> depth: int64
 field_of_view(3) -> camera: expected a Camera, got 3
 undistorted_camera('camera') -> camera: 'camera'
+undistort(IMAGE[0], camera(), 1.0) -> image: a grey image has a channel, too: image\[None\]
+rectified_pairs(rig(), 'panorama') -> kind: 'cassini', 'pinhole'
+compare_cameras(camera(), camera().resized((16, 20))) -> second: 32 x 40 pixels .* got 16 x 20
 read_camera(3) -> path: got 3
 save_camera(3, 'x.yaml') -> camera: got 3
 # rigs
@@ -244,6 +247,9 @@ CrownConv2d(5, 4)(crown()) -> crown: 5 channels
 CrownConv2d(3, 4)(crown(torch.float32, 4)) -> crown: to_crown
 CrownConv2d(-3, 4) -> in_channels: -3
 CrownConv2d(3, 4, stride=3) -> stride: 1 or 2
+CrownConv2d(3, 4, 5) -> stride: got 5; a kernel is a vertex and its neighbours
+CrownConv3d(3, 4, kernel_size=5) -> kernel_size: got 5; a kernel is a vertex and its neighbours
+HexConv2d(3, 4, kernel_size=5) -> kernel_size: got 5; a kernel is a vertex and its neighbours
 crown_conv2d(crown(), np.zeros((4, 3, 7))) -> weight: numpy
 crown_conv2d(crown(), torch.zeros(4, 3, 7), torch.zeros(3)) -> bias: \(4,\)
 HexConv2d(3, 4)(crown()) -> values: from_crown
@@ -319,6 +325,7 @@ cube_to_layout(torch.zeros(6, 4, 4), 'cross') -> layout: expected one of 'dice',
 cube_from_layout(torch.zeros(3, 10, 12), 'dice') -> faces: expected one picture .* got \(3, 10, 12\)
 cube_from_layout({'front': torch.zeros(4, 4)}, 'dict') -> faces: keys front, right
 Cubemap(0) -> size: expected a positive number of pixels, got 0
+Cubemap(128, 128) -> dtype: got 128; this grid is 6×128×128
 # sphere: equirectangular
 Equirectangular(4, 0) -> width: expected a positive number of pixels, got 0
 # sphere: healpix

@@ -75,22 +75,34 @@ def typed(kind: type[T], config: Mapping[str, Any], prefix: str = "") -> T:
     """
     hints = get_type_hints(kind, include_extras=True)
     values = {}
-    for name, hint in hints.items():
+    for field, hint in hints.items():
+        name = key_of(field)
         if _is_nested(hint) and name in config and isinstance(config[name], Mapping | DictConfig):
-            values[name] = typed(hint, config[name], f"{prefix}{name}.")
+            values[field] = typed(hint, config[name], f"{prefix}{name}.")
         elif dataclasses.is_dataclass(hint):
-            values[name] = typed(hint, config, prefix)  # type: ignore[arg-type]
+            values[field] = typed(hint, config, prefix)  # type: ignore[arg-type]
         elif name in config.keys():  # noqa: SIM118 (those that lack a value, too)
             value = config[name]
             whole = OmegaConf.is_config(value) and _bare(hint) is not Any
-            values[name] = OmegaConf.to_container(value, resolve=True) if whole else value
+            values[field] = OmegaConf.to_container(value, resolve=True) if whole else value
     try:
         return TypeAdapter(kind).validate_python(values) if is_typeddict(kind) else kind(**values)
     except ValidationError as error:
-        key = str(error.errors()[0]["loc"][0])
-        if key not in values:
-            raise ArgumentError(f"{prefix}{key}: a value is needed here, leave ~{prefix}{key} out") from None
-        raise ArgumentError(f"{prefix}{key}: expected {expected(hints[key])}, got {values[key]!r}") from None
+        field = str(error.errors()[0]["loc"][0])
+        key = f"{prefix}{key_of(field)}"
+        if field not in values:
+            raise ArgumentError(f"{key}: a value is needed here, leave ~{key} out") from None
+        raise ArgumentError(f"{key}: expected {expected(hints[field])}, got {values[field]!r}") from None
+
+
+def key_of(field: str) -> str:
+    """The key of a field of a dataclass: ``with_`` is the key ``with``, which is a word of Python.
+
+    Examples:
+        >>> key_of("with_"), key_of("image_size")
+        ('with', 'image_size')
+    """
+    return field.removesuffix("_")
 
 
 def flat(config: Any) -> dict[str, Any]:
@@ -98,7 +110,7 @@ def flat(config: Any) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
-        values |= flat(value) if dataclasses.is_dataclass(value) else {field.name: value}
+        values |= flat(value) if dataclasses.is_dataclass(value) else {key_of(field.name): value}
     return values
 
 
@@ -106,7 +118,7 @@ def hints_of(kind: Any) -> dict[str, Any]:
     """Key -> type hint of a dataclass or ``TypedDict``, as flat as ``flat`` has them."""
     hints: dict[str, Any] = {}
     for name, hint in get_type_hints(kind, include_extras=True).items():
-        hints |= hints_of(hint) if dataclasses.is_dataclass(hint) else {name: hint}
+        hints |= hints_of(hint) if dataclasses.is_dataclass(hint) else {key_of(name): hint}
     return hints
 
 

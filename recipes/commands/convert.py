@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cameras as another model or file: ``sphericalvision-convert calibration=a.yaml to=kannala_brandt output=b.yaml``."""
+"""Cameras as another model or file, or beside another calibration: ``sphericalvision-convert calibration=a.yaml
+to=kannala_brandt output=b.yaml``, ``calibration=a.yaml with=b.yaml``."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +15,7 @@ from pydantic.dataclasses import dataclass
 from sphericalvision.cameras import (
     Camera,
     CameraRig,
+    compare_cameras,
     field_of_view,
     save_camera,
     save_rig,
@@ -23,6 +26,8 @@ from sphericalvision.cameras.calibration import CAMERA_FORMATS, RIG_FORMATS
 from sphericalvision.cameras.conversion.convert import Conversion
 from sphericalvision.cameras.conversion.convert import convert as convert_camera
 from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.geometry import invert_transform
+from sphericalvision.geometry.transforms import axis_angle_from_transform
 from sphericalvision.recipes.app.cli import console, print_table
 from sphericalvision.recipes.app.kinds import STRICT, Count, HalfAngle, OnlyWith, Text
 from sphericalvision.recipes.app.rigs import Calibration, keys_named, radians
@@ -35,6 +40,7 @@ class ConvertConfig:
     """Keys of ``conf/convert.yaml``."""
 
     file: Calibration
+    with_: Text | None
     to: Text | None
     output: Text | None
     format: Annotated[Text | None, OnlyWith("output")]
@@ -45,13 +51,17 @@ class ConvertConfig:
 
 
 def convert(config: ConvertConfig) -> dict[str, Conversion]:
-    """Convert the cameras of ``config.file.calibration``, print how well that went, and write ``config.output``.
+    """Convert the cameras of ``config.file.calibration``, print how well that went, and write ``config.output``; or
+    print how they differ from those of ``config.with_``.
 
     Raises:
         ArgumentError: an unknown model, format, camera or option; the message names the key.
     """
     calibration = config.file.rig_or_cameras(torch.float64)
     cameras = _chosen(calibration, config)
+    if config.with_ is not None:
+        _compare(config, calibration, cameras)
+        return {}
     together = isinstance(calibration, CameraRig) and config.camera is None
     if config.to not in (None, "ocam"):
         turns = {name: straighten(camera).angle for name, camera in cameras.items()}
@@ -82,6 +92,53 @@ def convert(config: ConvertConfig) -> dict[str, Conversion]:
         )
     print(path)
     return converted
+
+
+def _compare(
+    config: ConvertConfig, calibration: CameraRig | dict[str, Camera], cameras: dict[str, Camera]
+) -> None:
+    """Print how far the cameras of two calibrations lie apart, by the angle from the axis, and their poses."""
+    assert config.with_ is not None
+    if wrong := [key for key in ("to", "output") if getattr(config, key) is not None]:
+        raise ArgumentError(f"{wrong[0]}: counts only without with=..., which compares and converts nothing")
+    with keys_named(calibration="with"):
+        other = replace(config.file, calibration=config.with_).rig_or_cameras(torch.float64)
+    others = other.cameras if isinstance(other, CameraRig) else other
+    names = list(calibration.cameras if isinstance(calibration, CameraRig) else calibration)
+    if not set(names) <= set(others) and len(names) == len(others):
+        # Files of other programs call cameras otherwise: their order counts.
+        others = dict(zip(names, others.values(), strict=True))
+    if lacking := [name for name in cameras if name not in others]:
+        raise ArgumentError(
+            f"with: expected a camera {lacking[0]} in {config.with_}, it has {', '.join(others)}"
+        )
+    for name, camera in cameras.items():
+        with keys_named(second=f"with, {name}"):
+            rings = torch.stack(compare_cameras(camera, others[name])).T
+        rings[:, [0, 3, 4]] = rings[:, [0, 3, 4]].rad2deg()
+        rows = [
+            ["–" if math.isnan(x) else f"{x:.{n}f}" for x, n in zip(row, (1, 3, 3, 4, 4), strict=True)]
+            for row in rings.tolist()
+        ]
+        columns = ["from the axis (°)", "mean (px)", "max (px)", "mean (°)", "max (°)"]
+        print_table(f"{name}: {config.file.calibration} and {config.with_}", columns, rows)
+    if (
+        isinstance(calibration, CameraRig)
+        and isinstance(other, CameraRig)
+        and len(calibration) == len(other) > 1
+    ):
+        _compare_poses(calibration, other)
+
+
+def _compare_poses(rig: CameraRig, other: CameraRig) -> None:
+    """Print by how much cameras stand and look elsewhere, as seen from the first one."""
+    seen = [invert_transform(one.world_from_camera[0]) @ one.world_from_camera for one in (rig, other)]
+    turns = axis_angle_from_transform(invert_transform(seen[0]) @ seen[1])[0].norm(dim=-1).rad2deg()
+    moved = (seen[0][:, :3, 3] - seen[1][:, :3, 3]).norm(dim=-1) * 1000
+    rows = [
+        [n, f"{a:.3f}", f"{m:.2f}"] for n, a, m in zip(rig.names, turns.tolist(), moved.tolist(), strict=True)
+    ]
+    print_table(f"Poses as seen from {rig.names[0]}", ["camera", "turned (°)", "moved (mm)"], rows)
 
 
 def _tell_turns(turns: dict[str, float], what: str) -> None:

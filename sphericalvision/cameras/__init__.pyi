@@ -8,6 +8,7 @@ from .calibration import read_rig as read_rig
 from .calibration import read_trajectory as read_trajectory
 from .calibration import save_camera as save_camera
 from .calibration import save_rig as save_rig
+from .conversion.compare import compare_cameras as compare_cameras
 from .conversion.convert import convert as convert
 from .conversion.convert import fit_inverse_polynomial as fit_inverse_polynomial
 from .conversion.straighten import straighten as straighten

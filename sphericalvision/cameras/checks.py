@@ -112,7 +112,9 @@ def check_image(
     if image.ndim > shape.count("c, ") + 1 and tuple(image.shape[-2:]) == image_size:
         return
     height, width = image_size
-    if "c, " in shape and tuple(image.shape[-3:-1]) == image_size:
+    if "c, " in shape and tuple(image.shape) == image_size:
+        remedy = f"a grey image has a channel, too: {name}[None]"
+    elif "c, " in shape and tuple(image.shape[-3:-1]) == image_size:
         remedy = f"channels come first: {name}.movedim(-1, -3)"
     raise ShapeError(
         f"{name}: this camera's images are {height} x {width} (height x width), got shape {tuple(image.shape)}; "

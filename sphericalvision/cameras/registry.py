@@ -3,13 +3,22 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any, TypeVar
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.core import ArgumentError
 from sphericalvision.extensions import Registry
 
-__all__ = ["ENTRY_POINTS", "camera_model", "camera_model_names", "check_registered", "register_camera"]
+__all__ = [
+    "ENTRY_POINTS",
+    "camera_model",
+    "camera_model_meant",
+    "camera_model_names",
+    "check_registered",
+    "model_meant",
+    "register_camera",
+]
 
 ENTRY_POINTS = "sphericalvision.cameras"
 """Group of entry points, name -> subclass of ``Camera``, in which other packages offer theirs."""
@@ -62,6 +71,50 @@ def camera_model(name: str) -> type[Camera] | None:
 def camera_model_names() -> tuple[str, ...]:
     """The names of all models, in alphabetical order."""
     return MODELS.names()
+
+
+_SYNONYMS = [
+    group.split()
+    for group in (
+        "none no pinhole perspective undistorted rectified nodistortion",
+        "radtan radialtangential radialtangential4 plumbbob brownconrady brown radtan4 radtan5 opencv",
+        "rationalpolynomial rational radtan8 radialtangential8 pinholeradtan8",
+        "thinprism",
+        "tilted",
+        "equidistant equi kannalabrandt kannalabrandt4 kannalabrandt8 kb kb4 opencvfisheye fisheye",
+        "fov atan",
+        "omni omnidir mei unified ucm",
+        "eucm extendedunified",
+        "ds doublesphere",
+    )
+]
+"""What lenses are called, in small letters alone; the first of a line stands for all of it."""
+
+
+def model_meant(value: Any) -> str:
+    """The name that stands for a model's name and all its synonyms; any other name stands for itself."""
+    return _synonyms(value)[0]
+
+
+def camera_model_meant(name: str) -> type[Camera] | None:
+    """The camera model of a name, of another spelling or of a synonym of it, or None.
+
+    Examples:
+        >>> [camera_model_meant(name).__name__ for name in ("kb4", "Double Sphere", "fisheye")]
+        ['KannalaBrandtCamera', 'DoubleSphereCamera', 'FisheyeCamera']
+    """
+    names = {_spelled(known): known for known in camera_model_names()}
+    meant = next((names[word] for word in _synonyms(name) if word in names), name)
+    return camera_model(name) or camera_model(meant)
+
+
+def _synonyms(name: Any) -> list[str]:
+    spelled = _spelled(name)
+    return next((group for group in _SYNONYMS if spelled in group), [spelled])
+
+
+def _spelled(name: Any) -> str:
+    return re.sub(r"[^a-z0-9]", "", str(name).lower())
 
 
 def check_registered(camera: Camera) -> None:

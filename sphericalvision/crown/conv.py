@@ -19,7 +19,7 @@ from sphericalvision.core import (
 )
 from sphericalvision.crown.fast import convolve_rectangles, convolve_vertices
 from sphericalvision.crown.layout import Crown, check_crown, to_crown
-from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, planar_kernels
+from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, check_hexagon, planar_kernels
 
 __all__ = ["CrownConv2d", "CrownConv3d", "convolve_crown", "crown_conv2d", "crown_conv3d"]
 
@@ -127,11 +127,18 @@ class _CrownConv(nn.Module):
 
     taps: int
 
-    def __init__(self, in_channels: int, out_channels: int, stride: int = 1, bias: bool = False) -> None:
+    def __init__(
+        self,
+        in_channels: int,
+        out_channels: int,
+        stride: int = 1,
+        bias: bool = False,
+        *,
+        kernel_size: None = None,
+    ) -> None:
         super().__init__()
         check_channels(in_channels=in_channels, out_channels=out_channels)
-        if stride not in (1, 2):
-            raise ArgumentError(f"stride: expected 1 or 2, got {stride}")
+        check_hexagon(stride, kernel_size)
         self.stride = stride
         self.weight = nn.Parameter(torch.empty(out_channels, in_channels, self.taps))
         self.bias = nn.Parameter(torch.empty(out_channels)) if bias else None
@@ -157,6 +164,7 @@ class CrownConv2d(_CrownConv):
         out_channels: channels of the crown returned.
         stride: 1, or 2 to keep the vertices of the next coarser level.
         bias: whether to add a learned bias.
+        kernel_size: is refused: a kernel is a vertex and its neighbours.
 
     Examples:
         >>> CrownConv2d(3, 32, stride=2)
@@ -177,6 +185,7 @@ class CrownConv3d(_CrownConv):
         out_channels: channels of the crown returned.
         stride: 1, or 2 to keep the vertices of the next coarser level; hypotheses are always kept.
         bias: whether to add a learned bias.
+        kernel_size: is refused: a kernel is a vertex and its neighbours.
 
     Examples:
         >>> CrownConv3d(64, 32)

@@ -52,7 +52,7 @@ from sphericalvision.crown.by_lookups import Rings, hex_conv_by_lookups
 from sphericalvision.crown.fast import convolve_rectangles
 from sphericalvision.crown.hexpad import fill_charts, hex_pad
 from sphericalvision.crown.places import check_values
-from sphericalvision.crown.taps import COL_TAPS
+from sphericalvision.crown.taps import COL_TAPS, check_hexagon
 from sphericalvision.icosphere import icosphere_vertices, level_from_num_vertices
 from sphericalvision.icosphere.topology import coarse_vertex_ids, vertex_at
 
@@ -297,12 +297,13 @@ class _HexConv(nn.Module):
         bias: bool = False,
         orientation: str = "chart",
         level: int | None = None,
+        *,
+        kernel_size: None = None,
     ) -> None:
         super().__init__()
         check_choice("orientation", orientation, ORIENTATIONS)
         check_channels(in_channels=in_channels, out_channels=out_channels)
-        if stride not in (1, 2):
-            raise ArgumentError(f"stride: expected 1 or 2, got {stride}")
+        check_hexagon(stride, kernel_size)
         if orientation == "north" and level is None:
             raise ArgumentError("level: expected the level of the values for orientation 'north', got None")
         self.stride = stride
@@ -341,6 +342,7 @@ class HexConv2d(_HexConv):
         orientation: ``"chart"``, one convolution whose taps follow the charts, within 30° of north; or ``"north"``,
             aligned with north by interpolation, at the price of two.
         level: of the values given; needed for ``"north"`` only.
+        kernel_size: is refused: a kernel is a vertex and its neighbours.
 
     Examples:
         >>> HexConv2d(3, 32, stride=2)

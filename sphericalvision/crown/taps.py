@@ -12,12 +12,13 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.core import constant_table
+from sphericalvision.core import ArgumentError, constant_table
 
 __all__ = [
     "COL_TAPS",
     "ROW_TAPS",
     "Taps",
+    "check_hexagon",
     "convolve",
     "neighbor_taps",
     "planar_kernel",
@@ -30,6 +31,19 @@ Taps = tuple[tuple[int, ...], ...]
 # Taps 0 to 5 go round the centre, tap 6; 7 stands for a zero at the two corners that are no neighbours.
 COL_TAPS: Taps = ((7, 5, 4), (0, 6, 3), (1, 2, 7))
 ROW_TAPS: Taps = ((7, 0, 5), (1, 6, 4), (2, 3, 7))
+
+
+def check_hexagon(stride: int, kernel_size: object = None) -> None:
+    """Raise ``ArgumentError`` for a stride, or a size of a kernel, that hexagonal convolutions do not have.
+
+    Examples:
+        >>> check_hexagon(2)
+    """
+    hint = "a kernel is a vertex and its neighbours, and has no size; further layers look further"
+    if kernel_size is not None:
+        raise ArgumentError(f"kernel_size: expected none, got {kernel_size!r}; {hint}")
+    if stride not in (1, 2):
+        raise ArgumentError(f"stride: expected 1 or 2, got {stride!r}; {hint}")
 
 
 def planar_kernel(weight: Float[Tensor, "*filters 7"], taps: Taps) -> Float[Tensor, "*filters 3 3"]:

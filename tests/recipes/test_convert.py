@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import math
 import os
+import re
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -152,3 +154,50 @@ def test_names_of_cameras_lead_nowhere(run: Run, tmp_path: Path) -> None:
     pictures = {path for path in tmp_path.rglob("*") if path.is_file()} - before
     assert len([path for path in pictures if "outside" in path.name]) == 2
     assert {path.parent for path in pictures} == {tmp_path / "a/b/c/seen"}
+
+
+def test_two_calibrations_are_compared_by_the_angle_from_the_axis(
+    run: Run, failing: Callable[..., str], calibration: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wider = DoubleSphereCamera([76.5, 75.0], [152.3, 151.5], -0.2, 0.6, (304, 304), math.radians(100))
+    poses = ring_rig(4, radius=0.21).world_from_camera
+    CameraRig([wider] * 4, poses).to_yaml(calibration.parent / "other.yaml")
+    run("convert", f"calibration={calibration}", "with=other.yaml", "camera=right")
+    printed = capsys.readouterr().out
+    rows = [
+        [float(x) for x in re.findall(r"[\d.]+", row)]
+        for row in printed.splitlines()
+        if re.match(r"│ +\d", row)
+    ]
+    assert [row[0] for row in rows] == [*range(0, 100, 10), 100.0]
+    points = torch.tensor([[math.sin(1.0471976), 0.0, math.cos(1.0471976)]], dtype=torch.float64)
+    at_60 = float((wider.project(points).pixels - LENS.project(points).pixels)[0, 0])
+    assert abs(rows[6][2] - at_60) < 1e-3  # the largest, to the right, where f differs by 2 %
+    assert 0.5 * at_60 < rows[6][1] < at_60
+    assert all(0 <= row[3] <= row[4] < 3 for row in rows)
+    assert "right" in printed
+    assert "left " not in printed.split("Poses")[0]
+    assert "14.14" in printed.split("Poses")[1]  # 10 mm outwards, as seen from another that moved as much
+    small = LENS.resized((152, 152))
+    CameraRig([small] * 4, poses).to_yaml(calibration.parent / "small.yaml")
+    for words, message in (
+        (("with=small.yaml",), "with, front: expected 304 x 304 pixels"),
+        (("with=other.yaml", "to=ocam"), "to: counts only without with="),
+        (("with=none.yaml",), "none.yaml: no such file"),
+        (("with=other.yaml", "camera=top"), "camera: expected one of front"),
+    ):
+        assert message in failing("convert", f"calibration={calibration}", *words)
+    save_camera(LENS, calibration.parent / "one.yaml")
+    assert "with: expected a camera front in one.yaml" in failing(
+        "convert", f"calibration={calibration}", "with=one.yaml"
+    )
+    run("convert", "calibration=one.yaml", "with=one.yaml")
+    assert "Poses" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("word", "model"), [("kb4", "kannala_brandt"), ("OPENCV_FISHEYE", "kannala_brandt")])
+def test_names_that_readers_know_are_models_to_convert_to(
+    run: Run, calibration: Path, word: str, model: str
+) -> None:
+    run("convert", f"calibration={calibration}", f"to={word}", "output=new.yaml", "camera=front")
+    assert read_camera(calibration.parent / "new.yaml").model == model

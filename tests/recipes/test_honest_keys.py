@@ -117,7 +117,7 @@ def looked_at(monkeypatch: pytest.MonkeyPatch) -> set[str]:
 
             def seen(self: Any, key: Any, *more: Any, read: Callable[..., Any] = read) -> Any:
                 if self is config:
-                    found.add(str(key))
+                    found.add(str(key).removesuffix("_"))
                 return read(self, key, *more)
 
             patch.setattr(kind, name, seen)

@@ -45,10 +45,10 @@ from sphericalvision.cameras.calibration.parsing import (
     errors_of_file,
     focal_lengths,
     metres_per,
-    model_meant,
     size_from_width_height,
 )
 from sphericalvision.cameras.calibration.poses import checked_rigid
+from sphericalvision.cameras.registry import model_meant
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.geometry import invert_transform

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from sphericalvision.cameras.registry import model_meant
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import FileFormatError, SphericalVisionError, check_choice, short_repr
 
@@ -23,7 +24,6 @@ __all__ = [
     "focal_lengths",
     "matrix",
     "metres_per",
-    "model_meant",
     "numbers",
     "size_from_width_height",
     "view_name",
@@ -118,30 +118,6 @@ def chosen(value: Any, choices: Iterable[str], where: str) -> str:
     if not isinstance(value, str) or value not in words:
         raise FileFormatError(f"{where}: expected {_listed(words)}, got {short_repr(value)}")
     return value
-
-
-_SYNONYMS = [
-    group.split()
-    for group in (
-        "none no pinhole perspective undistorted rectified nodistortion",
-        "radtan radialtangential radialtangential4 plumbbob brownconrady brown radtan4 radtan5 opencv",
-        "rationalpolynomial rational radtan8 radialtangential8 pinholeradtan8",
-        "thinprism",
-        "tilted",
-        "equidistant equi fisheye kannalabrandt kannalabrandt4 kannalabrandt8 kb kb4 opencvfisheye",
-        "fov atan",
-        "omni omnidir mei unified ucm",
-        "eucm extendedunified",
-        "ds doublesphere",
-    )
-]
-"""What lenses are called, in small letters alone; the first of a line stands for all of it."""
-
-
-def model_meant(value: Any) -> str:
-    """The name that stands for a model's name and all its synonyms; any other name stands for itself."""
-    spelled = re.sub(r"[^a-z0-9]", "", str(value).lower())
-    return next((group[0] for group in _SYNONYMS if spelled in group), spelled)
 
 
 def chosen_model(value: Any, choices: Iterable[str], where: str) -> str:

@@ -19,7 +19,7 @@ from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.cameras.models.ocam_polynomials import InverseFit, fit_direct, fit_inverse_polynomial
 from sphericalvision.cameras.models.pinhole import PinholeCamera
-from sphericalvision.cameras.registry import camera_model, camera_model_names
+from sphericalvision.cameras.registry import camera_model_meant, camera_model_names
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.geometry import angle_from_axis
 from sphericalvision.geometry.rootfinding import polynomial
@@ -72,7 +72,8 @@ def convert(
 
     Args:
         camera: a single camera.
-        to: class of the new model, or its name in files, such as ``"kannala_brandt"``.
+        to: class of the new model, or its name in files, such as ``"kannala_brandt"``, or a name that readers know for
+            it: ``"kb4"``, ``"ds"``, ``"eucm"``, ``"mei"``, ``"radtan"``.
         max_angle: radians from the axis out to which the fit matters, within what the camera sees.
         num_coefficients: of ``BrownConradyCamera`` (4, 5, 8, 12, 14; 8 by default), ``UnifiedCamera`` (0, 4, 5; 4),
             ``KannalaBrandtCamera`` and ``ThinPrismFisheyeCamera`` (1 to 9; 4), ``DivisionCamera`` (1 to 6; 2),
@@ -131,7 +132,7 @@ def convert(
 
 def _model(to: type[Camera] | str) -> type[Camera]:
     if isinstance(to, str):
-        model = camera_model(to)
+        model = camera_model_meant(to)
         if model is None:
             check_choice("to", to, camera_model_names())
             raise AssertionError(to)  # a name that is known has a model

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float, Int, Shaped
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError, check_tensor
+from sphericalvision.core import ArgumentError, ShapeError, check_tensor, check_type
 from sphericalvision.geometry import bilinear_sample
 
 __all__ = ["MAX_CELLS", "GridModule", "SphereGrid", "check_cells", "check_positive", "check_values"]
@@ -107,6 +107,9 @@ class GridModule(nn.Module):
 
     def _make_directions(self: Any, dtype: torch.dtype | None, device: torch.device | str | None) -> None:
         """The middles of the cells, exact in float64, as the buffer ``directions`` in ``dtype``."""
+        if dtype is not None:
+            size = "×".join(map(str, self.shape))
+            check_type("dtype", dtype, torch.dtype, f"this grid is {size}, and a further size is not taken")
         directions = self.cell_samples(1, torch.float64, device)[0].view(*self.shape, 3)
         self.register_buffer(
             "directions", directions.to(dtype or torch.get_default_dtype()), persistent=False

@@ -111,7 +111,7 @@ def drawn_frame(
     estimates: dict[str, Tensor] = {}
     for method in methods:
         estimates.setdefault(method.label, records[method.name].drawn[str(config.panel_frame)])
-    _, batch = next(frames.batches([str(config.panel_frame)]))
+    ((_, batch),) = frames.batches([str(config.panel_frame)])
     truth = Protocols(scale_of(config), config.model.level - 2).truth(batch)
     rig, height = batch["rig"].select(0), config.panel_height
     depth = icosphere_to_panorama(truth.inverse_depth[0].float(), height).reciprocal()

@@ -399,7 +399,7 @@ def test_images_on_disk_are_turned(
     assert left_out["fisheye-0deg"] < 1
     assert 10 < left_out["fisheye-45deg"] < 40
     config = composed("study", *disk[:2], f"data.root='{tmp_path / 'house'}'", disk[3])
-    _, batch = next(view_frames(config, View("fisheye", 45.0)).batches(["0"]))
+    ((_, batch),) = view_frames(config, View("fisheye", 45.0)).batches(["0"])
     assert batch["fisheye"].shape == (1, 4, 3, 32, 32)
     assert (batch["fisheye"][..., 0, 0] == 0).all()
     torch.testing.assert_close(batch["rig"].select(0).axes[0], torch.tensor([0.0, 0.5**0.5, 0.5**0.5]))

@@ -174,8 +174,8 @@ class Healpix(GridModule):
         north, south = (above == 0).unsqueeze(-1), (above == last).unsqueeze(-1)
         first = self.num_pixels - 4
         quarter = torch.full_like(weights_above, 0.25)
-        opposite_above = torch.where(north, (ids_below + 2) % 4, ids_above)
-        opposite_below = torch.where(south, first + (ids_above - first + 2) % 4, ids_below)
+        opposite_above = torch.where(north, ids_below ^ 2, ids_above)  # 0 and 2 lie opposite, and 1 and 3
+        opposite_below = torch.where(south, first + ((ids_above - first) ^ 2), ids_below)
         weights_above = torch.where(north, quarter, weights_above)
         weights_below = torch.where(south, quarter, weights_below)
         ids = torch.cat((opposite_above, opposite_below), -1)
@@ -192,28 +192,38 @@ class Healpix(GridModule):
 
     def _ring_above(self, theta: Tensor) -> Tensor:
         """The last ring, 0 (the pole) to ``4 * nside - 1``, whose angle is not more than theta."""
-        rings = torch.arange(1, 4 * self.nside, device=theta.device)
-        return torch.searchsorted(ring_theta(rings, self.nside, theta.dtype), theta.contiguous(), right=True)
+        thetas = self._rings(theta)[-1][1:-1]
+        return torch.searchsorted(thetas, theta.contiguous(), right=True)
+
+    def _rings(self, like: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Of each ring from pole to pole: first pixel, number of pixels, shift, angle from the north pole.
+
+        Many directions share few rings: looked up, these cost a fraction of what they do computed for each.
+        """
+        ring = torch.arange(4 * self.nside + 1, device=like.device)
+        of_pixels = ring_start_count_shift(ring.clamp(1, 4 * self.nside - 1), self.nside)
+        return *of_pixels, ring_theta(ring, self.nside, like.dtype)
 
     def _on_ring(self, ring: Tensor, longitude: Tensor, chords: bool) -> tuple[Tensor, Tensor, Tensor]:
         """Two pixels of a ring beside a longitude, their weights ``(*, 2)``, and the angle ``(*)`` from the north pole.
 
         For a pole (ring 0 and ``4 * nside``) only the angle is meant.
         """
-        inner = ring.clamp(1, 4 * self.nside - 1)
-        start, count, shift = ring_start_count_shift(inner, self.nside)
+        start, count, shift, theta = (part[ring] for part in self._rings(longitude))
         step = (2 * math.pi) / count.to(longitude.dtype)
         position = longitude / step - 0.5 * shift
         first = position.detach().floor()
         share = position - first
-        theta = ring_theta(ring, self.nside, longitude.dtype)
         if chords:
             before, after = (share * step).sin(), ((1 - share) * step).sin()
             radius = theta.sin() * (step / 2).cos() / ((share - 0.5) * step).cos()
-            theta = torch.where(ring == inner, torch.atan2(radius, theta.cos()), theta)
+            inside = (ring > 0) & (ring < 4 * self.nside)
+            theta = torch.where(inside, torch.atan2(radius, theta.cos()), theta)
             share = before / (before + after)
-        first = first.long()
-        ids = torch.stack((start + first % count, start + (first + 1) % count), -1)
+        first = first.nan_to_num().long()  # a number of the ring, whatever the direction
+        first = torch.where(first < 0, first + count, first)
+        second = torch.where(first + 1 == count, 0, first + 1)
+        ids = torch.stack((start + first, start + second), -1)
         return ids, torch.stack((1 - share, share), -1), theta
 
     def _interpolated(self, values: Tensor, directions: Tensor) -> Tensor:

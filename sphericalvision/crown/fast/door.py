@@ -9,7 +9,7 @@ wherever they can.
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from torch import Tensor
 from torch.nn.modules.batchnorm import _BatchNorm
 from torch.utils.checkpoint import checkpoint
@@ -47,7 +47,7 @@ def recomputation_pays(values: Float[Tensor, " ..."]) -> bool:
     return values.device.type == "cpu" and operators_in_use() and not transformed and not compiling
 
 
-def slices_pay(values: Float[Tensor, " ..."]) -> bool:
+def slices_pay(values: Shaped[Tensor, " ..."]) -> bool:
     """Whether crowns are made by slices, on a CPU; the reference looks every vertex up, and so do graphs."""
     # Slices are a function of autograd of our own, which the transforms of torch.func do not know.
     transformed = torch._C._are_functorch_transforms_active()

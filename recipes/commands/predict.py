@@ -42,6 +42,9 @@ __all__ = ["PredictConfig", "open_frames", "predict", "predictor_for"]
 
 
 WITH_POINTS = OnlyWith("outputs=cloud|glb|fused|splat", "outputs=[cloud], [glb], [fused] or [splat]")
+WITH_SURFACE = OnlyWith(
+    "outputs=cloud|glb|mesh|fused|splat", "outputs=[cloud], [glb], [mesh], [fused] or [splat]"
+)
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -59,7 +62,7 @@ class PredictConfig:
     outputs: list[str] | None
     height: Count
     near: Positive | None
-    min_confidence: Annotated[Share, WITH_POINTS]
+    min_confidence: Annotated[Share, WITH_SURFACE]
     voxel: Annotated[Positive | None, WITH_POINTS]
     output: Text
     skip_existing: bool

@@ -44,6 +44,7 @@ OUTPUTS = (
     "confidence",
     "cloud",
     "glb",
+    "mesh",
     "viewer",
     "npz",
     "video",
@@ -64,6 +65,7 @@ FILES = {
     "confidence": "confidence.png",
     "cloud": "points.ply",
     "glb": "points.glb",
+    "mesh": "mesh.ply",
     "viewer": "viewer.html",
     "npz": "depth.npz",
     "splat": "splat/pinhole/transforms.json",
@@ -177,6 +179,16 @@ def save_frame(folder: Path, prefix: str, panoramas: Panoramas, settings: Settin
             origin,
             settings.axes,
         )
+    if "mesh" in settings.outputs:
+        mesh = panoramas.depth.mesh(settings.min_confidence)
+        for path in (
+            [folder / f"{prefix}mesh{suffix}" for suffix in (".ply", ".glb")] if len(mesh.faces) else ()
+        ):
+            placed = mesh.copy()  # as seen from the origin of the rig: trimesh writes float32
+            placed.vertices = _placed(torch.from_numpy(mesh.vertices.copy()), path, settings.axes).numpy()
+            with atomic_write(path) as temporary:
+                placed.export(temporary)
+            written.append(path)
     if "viewer" in settings.outputs:
         title = f"depth all around {prefix.rstrip('_')}".strip()
         path = save_viewer(
@@ -205,14 +217,18 @@ def _save_clouds(
     written = []
     for path in paths if len(cloud.points) else ():
         points, normals = cloud.points, cloud.normals
-        if path.suffix == ".glb":
-            # It has y up and looks along -z, which viewers of it rely on, and holds float32, from the origin.
+        if path.suffix == ".glb":  # which holds float32
             points = (points - origin).float() if origin.any() else points
-            points = points * points.new_tensor([1, -1, -1])
-        elif axes is not None:
-            points, normals = points @ axes.to(points).mT, normals @ axes.to(normals).mT
+        points, normals = (_placed(vectors, path, axes) for vectors in (points, normals))
         written.append(save_point_cloud(path, points, cloud.colors, normals))
     return written
+
+
+def _placed(vectors: Tensor, path: Path, axes: Tensor | None) -> Tensor:
+    """Vectors ``(n, 3)`` in the axes of a file: of a ``.glb`` y up, looking along -z, as its viewers expect."""
+    if path.suffix == ".glb":
+        return vectors * vectors.new_tensor([1, -1, -1])
+    return vectors if axes is None else vectors @ axes.to(vectors).mT
 
 
 def arrays_of(panoramas: Panoramas) -> dict[str, Any]:

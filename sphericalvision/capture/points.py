@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -15,11 +15,16 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import SphereGrid
+from sphericalvision.viz.mesh import surface_mesh
 from sphericalvision.viz.pointcloud import point_colors
+
+if TYPE_CHECKING:
+    import trimesh
 
 __all__ = [
     "SurfacePoints",
     "grid_faces",
+    "grid_mesh",
     "hangs_between",
     "surface_normals",
     "surface_points",
@@ -81,8 +86,33 @@ def surface_points(
     return SurfacePoints(points[seen], colors.T[seen], normals[mask][seen], confidence[mask][seen])
 
 
+def grid_mesh(
+    grid: SphereGrid,
+    inverse_depth: Float[Tensor, " V"],
+    mask: Bool[Tensor, " V"],
+    rig: CameraRig,
+    images: Mapping[str, Float[Tensor, "3 _ _"]],
+) -> trimesh.Trimesh:
+    """Return the surface of ``surface_points`` as triangles between neighbours, none steeper than a surface may be.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> rig, ones = ring_rig(3, image_size=(8, 8)), torch.ones(162)
+        >>> images = {name: torch.rand(3, 8, 8) for name in rig.names}
+        >>> grid_mesh(Icosphere(2), 0.5 * ones, ones > 0, rig, images).is_watertight
+        True
+    """
+    rays, faces = grid.directions.reshape(-1, 3).float(), grid_faces(grid)
+    depth = inverse_depth.clamp(min=1e-6).reciprocal()
+    colors, seen = point_colors(rig, images, rays * depth[:, None] + rig.center.to(rays))
+    widest = (rays[faces] - rays[faces.roll(1, -1)]).norm(dim=-1).amax()
+    jump = math.exp(math.tan(STEEPEST) * float(widest))
+    mesh = surface_mesh(rays, faces, depth.where(mask & seen, math.nan), colors, jump)
+    return mesh.apply_translation(rig.center.cpu().double().numpy())
+
+
 def grid_faces(grid: SphereGrid) -> Int[Tensor, "F 3"]:
-    """Return triangles between neighbouring points of a grid, as ids into the flattened grid.
+    """Return triangles between neighbouring points of a grid, as ids into the flattened grid, that turn outwards.
 
     Examples:
         >>> from sphericalvision.sphere import Equirectangular
@@ -94,8 +124,8 @@ def grid_faces(grid: SphereGrid) -> Int[Tensor, "F 3"]:
     height, width = grid.shape
     ids = torch.arange(height * width, device=grid.directions.device).view(height, width)
     ids = torch.cat((ids, ids[:, :1]), 1)  # left and right edges meet
-    upper = torch.stack((ids[:-1, :-1], ids[1:, :-1], ids[:-1, 1:]), -1)
-    lower = torch.stack((ids[:-1, 1:], ids[1:, :-1], ids[1:, 1:]), -1)
+    upper = torch.stack((ids[:-1, :-1], ids[:-1, 1:], ids[1:, :-1]), -1)
+    lower = torch.stack((ids[:-1, 1:], ids[1:, 1:], ids[1:, :-1]), -1)
     return torch.cat((upper.reshape(-1, 3), lower.reshape(-1, 3)))
 
 

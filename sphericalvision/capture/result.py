@@ -25,6 +25,8 @@ from sphericalvision.sweep import inverse_depth_from_index
 from sphericalvision.sweep.hypotheses import INVERSE_DEPTH_OFFSET
 
 if TYPE_CHECKING:
+    import trimesh
+
     from sphericalvision.capture.points import SurfacePoints
 
 __all__ = ["Depth", "DepthImage"]
@@ -235,16 +237,48 @@ class Depth:
         """
         from sphericalvision.capture.points import surface_points, voxel_means  # Matplotlib comes with it
 
-        if self.batch_shape:
-            raise ArgumentError("points: this is the depth of a batch; take one frame with depth.select(i)")
         if voxel is not None and not voxel > 0:
             raise ArgumentError(f"voxel: expected a side in metres above 0, got {voxel!r}")
         inverse_depth, confidence = self.inverse_depth.flatten().float(), self.confidence.flatten().float()
-        farthest = self.max_depth if max_depth is None else min(max_depth, self.max_depth)
-        mask = self.seen.flatten() & (confidence >= min_confidence) & (inverse_depth * farthest >= 1)
+        mask = self._measured("points", min_confidence, max_depth)
         rig = self.rig.to(inverse_depth.device)
         cloud = surface_points(self.network.grid, inverse_depth, confidence, mask, rig, self.images)
         return cloud if voxel is None else voxel_means(cloud, voxel)
+
+    @full_precision
+    def mesh(self, min_confidence: float = 0.0, max_depth: float | None = None) -> trimesh.Trimesh:
+        """Return what two cameras saw in one frame as a coloured mesh of the grid's triangles, cut where depth jumps.
+
+        It faces the rig; triangles that would be steeper than 84° to the ray are left out.
+
+        Args:
+            min_confidence: triangles with less confident corners are left out.
+            max_depth: metres; as in ``points``.
+
+        Raises:
+            ArgumentError: the depth is of a batch.
+
+        Examples:
+            >>> from sphericalvision.cameras import ring_rig
+            >>> from sphericalvision.models import WinnerTakesAll
+            >>> net, rig = WinnerTakesAll(3, 8, depth_coarsening=0), ring_rig(3, image_size=(16, 16))
+            >>> images, ones = {name: torch.rand(3, 16, 16) for name in rig.names}, torch.ones(642)
+            >>> mesh = Depth(3.5 * ones, ones, ones > 0, net, rig, images).mesh()
+            >>> mesh.is_watertight, round(mesh.extents[0].item(), 1)  # a ball of 1.1 m
+            (True, 2.2)
+        """
+        from sphericalvision.capture.points import grid_mesh  # Matplotlib comes with it
+
+        mask, rig = self._measured("mesh", min_confidence, max_depth), self.rig.to(self.index.device)
+        return grid_mesh(self.network.grid, self.inverse_depth.flatten().float(), mask, rig, self.images)
+
+    def _measured(self, what: str, min_confidence: float, max_depth: float | None) -> Tensor:
+        """Which of the grid's points count ``(V,)``, of one frame."""
+        if self.batch_shape:
+            raise ArgumentError(f"{what}: this is the depth of a batch; take one frame with depth.select(i)")
+        farthest = self.max_depth if max_depth is None else min(max_depth, self.max_depth)
+        near_enough = self.inverse_depth.flatten().float() * farthest >= 1
+        return self.seen.flatten() & (self.confidence.flatten().float() >= min_confidence) & near_enough
 
     @full_precision
     def at(

@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import torch
-from jaxtyping import Float, Shaped
+from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError, check_tensor
@@ -16,7 +16,7 @@ from sphericalvision.viz.color import colorize
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["icosphere_mesh", "sphere_mesh"]
+__all__ = ["icosphere_mesh", "sphere_mesh", "surface_mesh"]
 
 
 def icosphere_mesh(
@@ -51,17 +51,33 @@ def icosphere_mesh(
         colors = depth.new_full((3, len(depth)), 0.7)
     if tuple(colors.shape) != (3, len(depth)):
         raise ShapeError(f"colors: expected {(3, len(depth))} to go with depth, got {tuple(colors.shape)}")
+    return surface_mesh(grid.vertices, grid.faces, depth, colors, max_jump)
+
+
+def surface_mesh(
+    directions: Float[Tensor, "V 3"],
+    faces: Int[Tensor, "F 3"],
+    depth: Float[Tensor, " V"],
+    colors: Float[Tensor, "3 V"],
+    max_jump: float,
+) -> trimesh.Trimesh:
+    """As ``icosphere_mesh``, on any grid of unit directions, whose triangles turn outwards.
+
+    Examples:
+        >>> grid, ones = Icosphere(1), torch.ones(42)
+        >>> len(surface_mesh(grid.vertices, grid.faces, ones, torch.ones(3, 42), 1.2).faces)
+        80
+    """
     valid = depth.isfinite() & (depth > 0)
     safe = torch.where(valid, depth, 1.0)
-    corners = safe[grid.faces]
-    valid_faces = valid[grid.faces].all(-1) & (corners.amax(-1) <= max_jump * corners.amin(-1))
-    faces = grid.faces[valid_faces].flip(-1)  # seen from inside
+    corners = safe[faces]
+    valid_faces = valid[faces].all(-1) & (corners.amax(-1) <= max_jump * corners.amin(-1))
     levels = (colors.clamp(0, 1) * 255).round().to(torch.uint8)
     import trimesh  # a second to import
 
     mesh = trimesh.Trimesh(
-        vertices=(grid.vertices * safe[:, None]).detach().cpu().numpy(),
-        faces=faces.cpu().numpy(),
+        vertices=(directions * safe[:, None]).detach().cpu().numpy(),
+        faces=faces[valid_faces].flip(-1).cpu().numpy(),  # seen from inside
         vertex_colors=levels.T.detach().cpu().numpy(),
         process=False,
     )

@@ -26,6 +26,7 @@ FILES = {
     "confidence": "9_confidence.png",
     "cloud": "9_points.ply",
     "glb": "9_points.glb",
+    "mesh": "9_mesh.ply",
     "viewer": "9_viewer.html",
     "npz": "9_depth.npz",
     "splat": "9_splat/pinhole/transforms.json",

@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Depth
-from sphericalvision.capture.points import grid_faces, hangs_between, surface_normals
+from sphericalvision.capture.points import grid_faces, grid_mesh, hangs_between, surface_normals
 from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import WinnerTakesAll
@@ -53,6 +54,29 @@ def test_what_an_edge_leaves_in_the_air_is_cut_and_floors_are_not(name: str) -> 
     assert hanging[middle].float().mean() > 0.5
     floor = rays[:, 1].clamp(min=0.1)  # 1 m below
     assert not hangs_between(floor, rays, grid_faces(grid))[rays[:, 1] > 0.15].any()
+
+
+@pytest.mark.parametrize("name", GRIDS)
+def test_a_mesh_is_the_surface_cut_where_it_jumps(name: str) -> None:
+    """A cube around the rig without a hole; a ball before it is cut free, and all triangles face the rig."""
+    grid, rig = GRIDS[name], ring_rig(3, image_size=(32, 32))
+    rays = grid.directions.reshape(-1, 3)
+    images = {camera: torch.rand(3, 32, 32) for camera in rig.names}
+    everything = torch.ones(len(rays), dtype=torch.bool)
+    cube = grid_mesh(grid, wall(rays), everything, rig, images)
+    assert len(cube.faces) == len(grid_faces(grid))
+    torch.testing.assert_close(
+        torch.from_numpy(cube.vertices).abs().amax(-1), torch.full((len(rays),), 2.0).double()
+    )
+    to_rig = -cube.triangles_center
+    assert (np.einsum("ij,ij->i", cube.face_normals, to_rig)[cube.area_faces > 1e-9] > 0).all()
+    ball = rays[:, 2] > 0.95
+    jumping = grid_mesh(grid, torch.where(ball, 2.0, wall(rays)), everything, rig, images)
+    lengths = np.linalg.norm(jumping.vertices[jumping.edges_unique], axis=-1)
+    assert (np.ptp(lengths, axis=1) < 0.6).all()  # no triangle from the ball's half a metre to the walls
+    assert len(jumping.split(only_watertight=False)) == 2
+    half = grid_mesh(grid, wall(rays), rays[:, 0] > 0, rig, images)
+    assert half.vertices[:, 0].min() > 0
 
 
 def sphere_around(rig: CameraRig, level: int = 4) -> Depth:

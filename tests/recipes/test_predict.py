@@ -104,7 +104,7 @@ def test_a_world_whose_z_is_up_and_a_robots_frame(
                 *(w.replace("=base", f"={tmp_path}/base") for w in words[1:]),
             ),
             *(f"images={folder}", f"output={name}", "method=semi_global", "level=4", "num_hypotheses=8"),
-            *("align=false", "height=16", "device=cpu", "outputs=[npz,cloud,fused]"),
+            *("align=false", "height=16", "device=cpu", "outputs=[npz,cloud,fused,mesh]"),
         )
         said[name] = " ".join(capsys.readouterr().out.split())
         (npz,) = (tmp_path / name).glob("*depth.npz")
@@ -121,6 +121,15 @@ def test_a_world_whose_z_is_up_and_a_robots_frame(
     in_base = trimesh.transform_points(results["clean"][1], base_from_rig.numpy())
     np.testing.assert_allclose(results["robot"][1], in_base, atol=1e-2)
     assert abs(np.median(results["robot"][2], 0) - np.median(in_base, 0)).max() < 0.3
+    meshes = {}
+    for name in ("clean", "robot"):
+        (ply,) = (tmp_path / name).glob("*mesh.ply")
+        meshes[name] = trimesh.load(ply), trimesh.load(ply.with_suffix(".glb"), force="mesh")
+        assert (meshes[name][0].visual.vertex_colors[:, :3].std(0) > 1).all()
+    moved = trimesh.transform_points(meshes["clean"][0].vertices, base_from_rig.numpy())
+    np.testing.assert_allclose(meshes["robot"][0].vertices, moved, atol=1e-2)
+    upright = meshes["clean"][0].vertices * [1, -1, -1]
+    np.testing.assert_allclose(meshes["clean"][1].vertices, upright, atol=1e-4)
 
 
 def test_a_field_of_view_that_the_calibration_does_not_tell_is_that_of_the_images(

@@ -7,8 +7,9 @@ import json
 import logging
 import tempfile
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import accumulate, repeat
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import torch
 from jaxtyping import Bool, Float, Shaped
 from torch import Tensor, nn
 from torch.func import functional_call
-from torch.fx import GraphModule, Interpreter, Node
+from torch.fx import Graph, GraphModule, Interpreter, Node
 from torch.utils import _pytree
 
 from sphericalvision.capture.predictor import Predictor
@@ -50,6 +51,12 @@ DESCRIPTION = "description"
 """Under which an exported program keeps that of its inputs and outputs."""
 LOOKUPS = {torch.ops.aten.index_select.default: 2, torch.ops.aten.embedding.default: 1}
 """Operation -> which of its arguments says what is looked up; both take 32 bits."""
+PARTS = {
+    torch.ops.aten.unbind.int: 1,
+    torch.ops.aten.split.Tensor: 2,
+    torch.ops.aten.split_with_sizes.default: 2,
+}
+"""Operation that returns several parts of a tensor -> which of its arguments is the dimension."""
 CONVOLUTIONS = tuple(getattr(torch.ops.aten, f"conv{dims}d").default for dims in (1, 2, 3))
 
 
@@ -331,12 +338,12 @@ def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Pat
     """
     try:
         import onnx  # noqa: F401
-        import onnxscript  # noqa: F401
+        from onnxscript.optimizer import fold_constants
     except ImportError as error:
         raise ArgumentError(f"onnx: needs {error.name}: pip install 'sphericalvision[onnx]'") from None
     inputs, _ = exported.example_inputs
     with quiet(), atomic_write(path) as temporary:
-        # The optimiser of the converter does not end on programs of this size; runtimes optimise what they load.
+        # The optimiser of the converter does not end on programs of this size; folding does, and is half of the nodes.
         converted = torch.onnx.export(
             exported,
             dynamo=True,
@@ -347,6 +354,7 @@ def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Pat
             output_names=OUTPUTS,
         )
         assert converted is not None
+        fold_constants(converted.model)  # axes and shapes, which TensorRT wants as constants
         converted.model.metadata_props.update(exported.graph_module.meta.get(DESCRIPTION, {}))
         converted.save(temporary)
     return Path(path)
@@ -405,9 +413,30 @@ def with_constants_folded(traced: GraphModule, *inputs: Any) -> GraphModule:
                 constant = traced.graph.get_attr(name)
             values[constant] = values[node]
             node.replace_all_uses_with(constant)
+    _slice_parts(traced.graph)
     traced.graph.eliminate_dead_code()
     traced.recompile()
     return traced
+
+
+def _slice_parts(graph: Graph) -> None:
+    """Take each part of a split tensor by itself: ONNX has sequences for several, which not every runtime knows."""
+    for node in graph.nodes:
+        if node.target not in PARTS:
+            continue
+        tensor, *sizes, dim = node.args if len(node.args) > PARTS[node.target] else (*node.args, 0)
+        for user in list(node.users):
+            part: Any = user.args[1]
+            with graph.inserting_before(user):
+                if not sizes:
+                    one = graph.call_function(torch.ops.aten.select.int, (tensor, dim, part))
+                else:
+                    ends = list(
+                        accumulate(sizes[0] if isinstance(sizes[0], Sequence) else repeat(sizes[0], part + 1))
+                    )
+                    bounds = ([0, *ends][part], ends[part])
+                    one = graph.call_function(torch.ops.aten.slice.Tensor, (tensor, dim, *bounds))
+            user.replace_all_uses_with(one)
 
 
 def _only_places(node: Node) -> bool:

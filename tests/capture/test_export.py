@@ -31,6 +31,43 @@ from sphericalvision.sweep import DepthEstimate
 
 RIG = ring_rig(3, image_size=(24, 30))
 
+TENSORRT = """
+Abs Acos Acosh Add And ArgMax ArgMin Asin Asinh Atan Atanh Attention AveragePool BatchNormalization
+BlackmanWindow Cast CastLike Ceil Celu Clip Concat Constant ConstantOfShape Conv ConvTranspose Cos Cosh CumSum
+DeformConv DepthToSpace DequantizeLinear Div Dropout Einsum Elu Equal Erf Exp Expand EyeLike Flatten Floor GRU
+Gather GatherElements GatherND Gelu Gemm GlobalAveragePool GlobalLpPool GlobalMaxPool Greater GreaterOrEqual
+GridSample GroupNormalization HammingWindow HannWindow HardSigmoid HardSwish Hardmax Identity If
+InstanceNormalization IsInf IsNaN LRN LSTM LayerNormalization LeakyRelu Less LessOrEqual Log LogSoftmax Loop
+LpNormalization LpPool MatMul Max MaxPool Mean MeanVarianceNormalization Min Mish Mod Mul Neg
+NonMaxSuppression NonZero Not OneHot Or PRelu Pad Pow QuantizeLinear RMSNormalization RNN RandomNormal
+RandomNormalLike RandomUniform RandomUniformLike Range Reciprocal ReduceL1 ReduceL2 ReduceLogSum
+ReduceLogSumExp ReduceMax ReduceMean ReduceMin ReduceProd ReduceSum ReduceSumSquare Relu Reshape Resize
+ReverseSequence RoiAlign RotaryEmbedding Round STFT Scan Scatter ScatterElements ScatterND Selu Shape Shrink
+Sigmoid Sign Sin Sinh Size Slice Softmax Softplus Softsign SpaceToDepth Split Sqrt Squeeze Sub Sum Tan Tanh
+TensorScatter ThresholdedRelu Tile TopK Transpose Trilu Unsqueeze Upsample Where Xor
+"""
+"""What the ONNX parser of TensorRT 10.15 takes, by its operators.md."""
+FIXED_INPUTS = {"Squeeze": 1, "Unsqueeze": 1, "Slice": 3}
+"""Operator -> its input that TensorRT wants as a constant; of reductions it is the first one after the values."""
+
+
+def check_for_tensorrt(path: Path) -> None:
+    """Every node is of a kind that TensorRT takes, within the restrictions of its list, and none waits for values."""
+    import onnx
+
+    graph = onnx.shape_inference.infer_shapes(onnx.load(path)).graph
+    assert {node.op_type for node in graph.node} <= set(TENSORRT.split()) - {"NonZero"}
+    ranks = {info.name: len(info.type.tensor_type.shape.dim) for info in graph.value_info}
+    constants = {tensor.name for tensor in graph.initializer}
+    constants |= {name for node in graph.node if node.op_type == "Constant" for name in node.output}
+    for node in graph.node:
+        if node.op_type == "GridSample":
+            assert ranks[node.output[0]] == 4
+        if node.op_type == "ScatterND":
+            assert not any(attribute.name == "reduction" for attribute in node.attribute)
+        fixed = 1 if node.op_type.startswith("Reduce") else FIXED_INPUTS.get(node.op_type, len(node.input))
+        assert set(node.input[fixed : fixed + 1]) <= constants | {""}, node.op_type
+
 
 def predictor() -> Predictor:
     torch.manual_seed(0)
@@ -122,6 +159,7 @@ def test_the_default_network_as_a_program(tables: str, tmp_path: Path) -> None:
     assert sum(node.op == "call_function" for node in exported.graph.nodes) < 3000
     loaded = torch.export.load(tmp_path / "depth.pt2").module()
     path = export_onnx(exported, tmp_path / "depth.onnx")
+    check_for_tensorrt(path)
     for size in (1,) if batch else (1, 3):
         images = example_images(program, size)
         inputs = (images,) if batch else (images, rig_tables(program))
@@ -138,9 +176,21 @@ def test_the_default_network_at_its_level(tmp_path: Path) -> None:
     program = RigProgram(Predictor(rig, min_depth=0.55), height=160)
     images = torch.stack(list(render_rig(make_scene("room", seed=1), rig).values()))[None]
     path = export_onnx(export_program(program), tmp_path / "depth.onnx")
+    check_for_tensorrt(path)
     # Candidates are the best of few, so in some places the network makes much of rounding: noise of 1e-6 in the
     # images changes them by 2e-4, too.
     assert onnx_difference(path, program, images) < 1e-3
+
+
+@pytest.mark.slow
+def test_the_smallest_network_for_tensorrt(tmp_path: Path) -> None:
+    for package in ("onnx", "onnxscript", "onnxruntime"):
+        pytest.importorskip(package, reason="pip install sphericalvision[onnx]")
+    rig = ring_rig(4, image_size=(40, 40))
+    program = RigProgram(Predictor(rig, "icosweepnet-small", level=4, min_depth=0.5), height=16)
+    path = export_onnx(export_program(program), tmp_path / "depth.onnx")
+    check_for_tensorrt(path)
+    assert onnx_difference(path, program, example_images(program)) < 1e-4
 
 
 class Bright(DepthNetwork):
@@ -209,6 +259,24 @@ def test_what_does_not_depend_on_images_is_constant() -> None:
     assert kinds == {torch.int32, torch.int64}  # what is selected by number needs 32 bits, an index 64
     other = torch.rand(2, 4)
     torch.testing.assert_close(folded(other), Indexing()(other))
+
+
+@pytest.mark.parametrize("parts", [4, (1, 3, 4), 3], ids=["even", "uneven", "a rest"])
+def test_parts_of_a_tensor_are_slices(parts: int | tuple[int, ...]) -> None:
+    class Splitting(torch.nn.Module):
+        def forward(self, values: torch.Tensor) -> torch.Tensor:
+            *_, middle, last = values.split(parts, 1)
+            first, second = values.unbind()
+            return torch.cat((last, middle), 1).cumsum(1)[:, -1] + first[:, 0] @ second.unbind(1)[-1]
+
+    values = torch.rand(2, 8, 3)
+    traced = torch.export.export(Splitting(), (values,)).module()
+    assert any("split" in str(node.target) for node in traced.graph.nodes)
+    folded = with_constants_folded(traced, values)  # type: ignore[arg-type]
+    assert not {"split", "unbind"} & {
+        str(node.target).split(".")[1] for node in folded.graph.nodes if node.op == "call_function"
+    }
+    assert torch.equal(folded(values), Splitting()(values))
 
 
 def test_what_cannot_be_exported_is_told() -> None:

@@ -3,16 +3,20 @@
 
 mutmut makes the changes, in the files that ``[tool.mutmut]`` in pyproject.toml names, and tries each against the tests
 that call the changed function. All of them would take days, so as many are drawn for each room; the same code and seed
-draw the same ones.
+draw the same ones. They are made in a copy, ``build/mutants``, where recipes lie in the package that they are installed
+as: mutmut changes what is imported from its folder.
 
 python -m tests.mutants --each 80 --seed 0     # draw, try, and show what survived
-python -m tests.mutants --list                 # only their names, for ``mutmut run NAME`` and ``mutmut show NAME``
+python -m tests.mutants --only data metrics    # of the rooms whose patterns have one of these words
+python -m tests.mutants --list                 # only their names, for ``mutmut run NAME`` and ``mutmut show NAME`` there
 """
 
 import argparse
 import fnmatch
 import json
+import os
 import random
+import shutil
 import subprocess
 import sys
 from math import sqrt
@@ -21,6 +25,20 @@ from pathlib import Path
 from mutmut.configuration import config
 from mutmut.mutation.file_mutation import mutate_file_contents
 from mutmut.stats import status_by_exit_code
+
+
+TREE = Path("build/mutants")
+
+
+def copy_code() -> None:
+    """The tracked files in `TREE`, with recipes inside of the package."""
+    shutil.rmtree(TREE, ignore_errors=True)
+    (TREE / "sphericalvision" / "recipes").mkdir(parents=True)
+    (TREE / "recipes").symlink_to("sphericalvision/recipes")
+    for name in subprocess.check_output(["git", "ls-files", "-z"], text=True).split("\0"):
+        if name and Path(name).is_file():
+            (TREE / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(name, TREE / name)
 
 
 def mutants() -> dict[str, list[str]]:
@@ -42,17 +60,18 @@ def wilson(noticed: int, tried: int) -> tuple[float, float]:
     return (centre - half) / (1 + z * z / tried), (centre + half) / (1 + z * z / tried)
 
 
-def drawn(each: int, seed: int) -> dict[str, tuple[list[str], int]]:
+def drawn(each: int, seed: int, only: list[str]) -> dict[str, tuple[list[str], int]]:
     """A sample of the changes of each room, and how many there are."""
     return {
         room: (sorted(random.Random(seed).sample(names, min(each, len(names)))), len(names))
         for room, names in mutants().items()
+        if any(word in room for word in only)
     }
 
 
 def try_them(rooms: dict[str, tuple[list[str], int]]) -> None:
     """Try the changes, show those that no test notices, and print the table."""
-    every = [name for names, _ in rooms.values() for name in names]
+    every = list(dict.fromkeys(name for names, _ in rooms.values() for name in names))
     subprocess.run([sys.executable, "-m", "mutmut", "run", *every], check=True)
     exits: dict[str, int | None] = {}
     for meta in Path("mutants/sphericalvision").rglob("*.meta"):
@@ -80,8 +99,11 @@ if __name__ == "__main__":
     parser.add_argument("--each", type=int, default=80, help="changes that are tried of each room")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--list", action="store_true", help="print the names of the sample and end")
+    parser.add_argument("--only", nargs="*", default=[""], help="words of the patterns of rooms; all by default")
     args = parser.parse_args()
-    sample = drawn(args.each, args.seed)
+    copy_code()
+    os.chdir(TREE)
+    sample = drawn(args.each, args.seed, args.only)
     if args.list:
         print("\n".join(name for names, _ in sample.values() for name in names))
     else:

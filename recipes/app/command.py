@@ -47,6 +47,8 @@ class Command:
         """Do what the command does with some words, those of the command line if not given."""
         try:
             from sphericalvision.recipes.app.running import run_command
+
+            run_command(self, sys.argv[1:] if words is None else [*words])
         except ModuleNotFoundError as error:
             if (error.name or "").partition(".")[0] not in NEEDED:
                 raise
@@ -56,7 +58,9 @@ class Command:
                 file=sys.stderr,
             )
             raise SystemExit(1) from None
-        run_command(self, sys.argv[1:] if words is None else [*words])
+        except KeyboardInterrupt:
+            print("\nInterrupted.", file=sys.stderr)
+            raise SystemExit(130) from None
 
     @property
     def function(self) -> Callable[..., Any]:

@@ -46,9 +46,6 @@ def plain_errors() -> Iterator[None]:
             os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
         )  # what is left to be flushed goes nowhere
         raise SystemExit(128 + 13) from None  # as a program that SIGPIPE ends
-    except KeyboardInterrupt:
-        print("\nInterrupted.", file=sys.stderr)
-        raise SystemExit(130) from None
     except Exception as error:
         message = _message(error)
         if message is None or os.environ.get("HYDRA_FULL_ERROR") == "1":

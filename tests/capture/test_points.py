@@ -120,3 +120,32 @@ def test_a_voxel_keeps_one_point() -> None:
     assert cloud.points.norm(dim=-1).min() > 1.7
     with pytest.raises(ArgumentError, match="voxel"):
         depth.points(voxel=0.0)
+
+
+def test_triangles_across_an_edge_of_depth_hardly_turn_normals() -> None:
+    """A wall that ends before one three times as far: normals at its edge are the wall's within some degrees."""
+    grid = GRIDS["icosphere"]
+    rays = grid.directions[grid.directions[:, 2] > 0.7]
+    ids = torch.full((grid.num_vertices,), -1)
+    ids[grid.directions[:, 2] > 0.7] = torch.arange(len(rays))
+    faces = ids[grid.faces]
+    faces = faces[(faces >= 0).all(1)]
+    near = rays[:, 0] < 0
+    points = rays / rays[:, 2:] * torch.where(near, 1.0, 3.0)[:, None]
+    mixed = faces[near[faces].any(1) & ~near[faces].all(1)]
+    edge = torch.zeros(len(rays), dtype=torch.bool).index_fill_(0, mixed.flatten(), True) & near
+    inside = edge & (rays[:, 2] > 0.75)
+    assert inside.sum() > 20
+    assert surface_normals(points, faces)[inside, 2].max() < -0.99
+
+
+def test_a_ray_from_off_the_centre_meets_what_is_nearer_to_it_than_the_nearest_depth() -> None:
+    """Something narrow at 1 m around the centre, 0.6 to 0.7 m from where the ray begins; all else is 20 m away."""
+    start, ray = torch.tensor([0.0, 0.0, 0.5]), torch.tensor([[1.0, 0.0, 1.0]]) / math.sqrt(2)
+    ends = [torch.atan2(p[0], p[2]) for p in (start + d * ray[0] for d in (0.6, 0.7))]
+
+    def surface(rays: torch.Tensor) -> torch.Tensor:
+        angle = torch.atan2(rays[:, 0], rays[:, 2])
+        return torch.where((angle > ends[0]) & (angle < ends[1]), 1.0, 0.05)
+
+    assert 0.59 < distance_along(ray, start, surface, min_depth=1.0) < 0.71

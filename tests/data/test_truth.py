@@ -204,3 +204,16 @@ def test_noise_of_the_scanner_is_tolerated() -> None:
     ]
     assert shares[1] > 0.6
     assert shares[1] > 1.5 * shares[0]
+
+
+def test_planes_so_steep_that_depth_hangs_on_the_pixel_are_not_told() -> None:
+    """A floor out to its horizon: no depth is more than a quarter off that of the point that it comes from."""
+    x, z = torch.meshgrid(torch.linspace(-4, 4, 320), torch.linspace(0.5, 12, 600), indexing="ij")
+    points = torch.stack((x, 0 * x + 1.0, z), -1).reshape(-1, 3)
+    camera = FisheyeCamera.from_field_of_view((11, 11), 1.2)
+    depth, valid = truth_from_points(points, camera, gap=0.1)
+    distance = points.double().norm(dim=-1)
+    pixels = _pixels_of(camera, points.double() / distance[:, None]) + 1
+    nearest = torch.full((122,), math.inf).scatter_reduce(0, pixels, distance.float(), "amin")[1:].view(11, 11)
+    assert valid.sum() > 30
+    assert (depth / nearest)[valid].max() < 1.3

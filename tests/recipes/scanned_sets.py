@@ -184,7 +184,9 @@ def row(pose: Tensor) -> str:
 def write_omnipus(root: Path) -> Path:
     """A case for training and one for the test, of one frame each."""
     camera = KannalaBrandtCamera([20.0, 20.0], [31.5, 17.5], [0.0] * 4, (36, 64), max_angle=math.pi / 2)
-    rig = CameraRig([camera] * 4, ring_rig(4, radius=0.1, image_size=(8, 8)).world_from_camera)
+    poses = ring_rig(4, radius=0.1, image_size=(8, 8)).world_from_camera
+    poses[:, :3, 3] += torch.tensor([0.2, -0.3, 0.1])  # the LiDAR is not in the middle of the cameras
+    rig = CameraRig([camera] * 4, poses)
     (root / "calibration").mkdir(parents=True)
     for k, world_from_camera in enumerate(rig.world_from_camera, 1):
         pose = invert_transform(OURS_FROM_LIDAR) @ world_from_camera

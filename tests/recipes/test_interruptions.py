@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import torch
 from pytorch_lightning.plugins.io import TorchCheckpointIO
 
 from sphericalvision.models import IcoSweepNet
+from sphericalvision.recipes.app.command import Command
 from sphericalvision.recipes.training.depth_module import DepthModule
 from sphericalvision.recipes.training.run_folder import WeightsBesideCheckpoint
 from tests.recipes.tiny import Run
@@ -29,6 +31,23 @@ def signals() -> Iterator[None]:
     yield
     for number, handler in before.items():
         signal.signal(number, handler)
+
+
+def test_an_interrupt_while_a_command_imports_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Interrupt:
+        """Ctrl-C as soon as the first heavy module is looked for."""
+
+        def find_spec(self, name: str, *args: Any) -> None:
+            if name == "sphericalvision.recipes.app.running":
+                raise KeyboardInterrupt
+
+    monkeypatch.delitem(sys.modules, "sphericalvision.recipes.app.running", raising=False)
+    monkeypatch.setattr(sys, "meta_path", [Interrupt(), *sys.meta_path])
+    with pytest.raises(SystemExit) as stopped:
+        Command("predict")([])
+    assert (stopped.value.code, capsys.readouterr().err) == (130, "\nInterrupted.\n")
 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])

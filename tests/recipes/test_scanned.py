@@ -36,7 +36,7 @@ from sphericalvision.data.scanned.own import OwnScans
 from sphericalvision.data.scanned.scanned_frames import ScannedFrames
 from sphericalvision.data.scanned.spires import SpiresDataset
 from sphericalvision.data.scanned.widedepth import WideDepthDataset
-from sphericalvision.io.images import write_pages
+from sphericalvision.io.images import write_image, write_pages
 from sphericalvision.scenes import Scene, ray_depth, render_rig
 from sphericalvision.sphere import Equirectangular
 from tests.recipes.scanned_sets import (
@@ -82,6 +82,7 @@ def test_every_layout_gives_the_truth_that_was_rendered(tmp_path: Path) -> None:
         assert list(sample["images"]) == rig.names
         scene = ROAD if frames is deep360 else SCENE
         assert right_share(sample, rig.center, scene) > 0.97, frames
+        assert (sample["inverse_depth"][~sample["valid"]] == 0).all()
         rendered = render_rig(scene, rig, samples_per_pixel=1)
         for name, image in sample["images"].items():
             seen = sample["seen"][name]
@@ -262,3 +263,21 @@ def test_disparity_is_the_angle_between_both_cameras() -> None:
     theta = (1535 - 2 * torch.arange(512, dtype=torch.float64)) * math.pi / 1920
     rows = Equirectangular(512, 4, torch.float64, latitudes=HELVIPAD_LATITUDES).directions[:, 0, 1]
     assert torch.allclose(rows, theta.cos(), atol=1e-12)
+
+
+def test_motion_of_a_turn_is_that_between_poses_divided_by_turns(tmp_path: Path) -> None:
+    """KITTI-360 leaves frames without a pose out."""
+    frames = Kitti360Dataset(write_kitti360(tmp_path), [SEQUENCE], spacing=0.1, height=16)
+    trajectory = read_trajectory(tmp_path / "data_poses" / SEQUENCE / "poses.txt")
+    for one, third in zip(
+        frames._motion(trajectory, [5, 6, 7], 1), frames._motion(trajectory, [3, 6, 7], 1), strict=True
+    ):
+        assert one.norm() > 0.01
+        torch.testing.assert_close(3 * third, one)
+
+
+def test_images_that_are_no_part_of_helvipads_are_refused(tmp_path: Path) -> None:
+    root = write_helvipad(tmp_path, ("test",))
+    write_image(root / "test/images_bottom/20240120_REC_06_IN/0042.jpg", torch.zeros(3, 64, 200))
+    with pytest.raises(FileFormatError, match=r"0042\.jpg: expected 1920 x 512 pixels .* got 200 x 64"):
+        HelvipadDataset(root, "test")

@@ -22,7 +22,9 @@ from sphericalvision.scenes.procedural import (
 )
 from sphericalvision.scenes.registry import scene_kinds, under_other_skies
 from sphericalvision.scenes.rendering.primitives import Part, pack
+from sphericalvision.scenes.rendering.render import _spread, _stratified
 from sphericalvision.scenes.rendering.scene import Lamp, Material, Scene, pack_lamps, pack_materials
+from sphericalvision.scenes.rendering.shading import SurfaceTable, _albedo
 from sphericalvision.scenes.rendering.textures import PATTERNS, PHOTOGRAPHS, pattern, photograph, texture_bank
 
 ORIGIN = torch.zeros(3)
@@ -277,3 +279,64 @@ def test_texture_lookup_is_trilinear_between_mirrored_texels(generator: torch.Ge
                     share = (1 - abs(exact - level)) * (1 - abs(y - row)) * (1 - abs(x - column))
                     expected += share * texel(int(texture[k]), level, row, column)
         torch.testing.assert_close(seen.double(), expected, rtol=1e-3, atol=1e-3)
+
+
+def checked(wall: Part, *more: Material) -> Scene:
+    """A wall with a fine texture, and light from everywhere."""
+    fine = Material(texture=0, dark=(0.0,) * 3, bright=(0.5,) * 3, tile=(0.5, 0.5))
+    return plain([wall], [], ambient=1.0, materials=[fine, *more])
+
+
+def test_a_surface_at_a_slant_is_averaged_as_over_the_root_of_its_stretch() -> None:
+    """Of a ray that meets it at a cosine of a quarter as of one twice as wide that meets it head on."""
+    table = SurfaceTable.of(checked(floor()))
+    uv, row = torch.rand(2, 64, generator=torch.Generator().manual_seed(0)), torch.zeros(64).long()
+    normal = torch.tensor([0.0, -1.0, 0.0])[:, None].expand(3, 64)
+    slanted = torch.tensor([math.sqrt(15) / 4, 0.25, 0.0])[:, None].expand(3, 64)
+    width = torch.full((64,), 0.01)
+    at_slant, head_on, narrow = (
+        _albedo(table, uv, normal, ray, row, w)[0]
+        for ray, w in ((slanted, width), (-normal, 2 * width), (-normal, width))
+    )
+    torch.testing.assert_close(at_slant, head_on)
+    assert (head_on - narrow).abs().max() > 0.01
+
+
+def test_a_mirror_half_way_shows_a_wall_as_it_is_seen_without_it() -> None:
+    """As coarse as from where the eye is mirrored to."""
+    wall = Part("box", (0.0, 0.0, -0.511), (9.0, 9.0, 0.5), 0)
+    mirror = Part("box", (0.0, 0.0, 1.5), (9.0, 9.0, 0.5), 1)
+    mirrors = Material(texture=0, dark=(0.0,) * 3, bright=(0.0,) * 3, mirror=1.0)
+    alone = checked(wall)
+    both = replace(checked(wall, mirrors), primitives=pack([wall, mirror]))
+    angles = torch.linspace(0.3, 0.6, 400)
+    rays = torch.stack((angles.sin(), 0 * angles, angles.cos()), -1)
+    reflected = render_directions(both, ORIGIN, rays, spread=0.02)
+    eye, back = torch.tensor([0.0, 0.0, 2.0]), rays * torch.tensor([1.0, 1.0, -1.0])
+    direct, fine = (render_directions(alone, eye, back, spread=spread) for spread in (0.02, 0.01))
+    assert (direct - fine).abs().mean() > 0.01
+    assert (reflected - direct).abs().mean() < 0.003
+
+
+def test_a_pixel_is_the_mean_of_the_light_of_samples_that_the_camera_sees() -> None:
+    """By hand; each of four covers a quarter of the pixel, and at the rim of the view only some are seen."""
+    scene = checked(Part("box", (0.0, 0.0, 2.0), (9.0, 9.0, 0.5)))
+    camera = FisheyeCamera.from_field_of_view((24, 24), math.radians(100))
+    total, count = torch.zeros(3, 24, 24), torch.zeros(24, 24)
+    for offset in _stratified(4):
+        rays, seen = camera.unproject(_pixels(24, 24) + offset)
+        light = linear(render_directions(scene, ORIGIN, rays, spread=_spread(rays) / 2))
+        total, count = total + light * seen, count + seen
+    assert ((count > 0) & (count < 4)).any()
+    picture = linear(render_camera(scene, camera, torch.eye(4), samples_per_pixel=4))
+    torch.testing.assert_close(picture, total / count.clamp(min=1), rtol=1e-3, atol=1e-4)
+
+
+def test_pixels_of_a_panorama_are_at_most_twice_as_coarse_as_they_are_narrow() -> None:
+    """Near a pole a pixel is narrow: textures are not averaged over its height."""
+    camera = EquirectangularCamera((32, 64))
+    rays = camera.unproject(_pixels(32, 64)).directions
+    height = math.pi / 32
+    narrow = height * rays[:, 0, [0, 2]].norm(dim=-1)
+    expected = torch.full_like(narrow, height).minimum(2 * narrow)[:, None].expand(32, 64)
+    torch.testing.assert_close(_spread(rays), expected, rtol=5e-3, atol=0)

@@ -26,7 +26,6 @@ from mutmut.configuration import config
 from mutmut.mutation.file_mutation import mutate_file_contents
 from mutmut.stats import status_by_exit_code
 
-
 TREE = Path("build/mutants")
 
 
@@ -99,7 +98,9 @@ if __name__ == "__main__":
     parser.add_argument("--each", type=int, default=80, help="changes that are tried of each room")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--list", action="store_true", help="print the names of the sample and end")
-    parser.add_argument("--only", nargs="*", default=[""], help="words of the patterns of rooms; all by default")
+    parser.add_argument(
+        "--only", nargs="*", default=[""], help="words of the patterns of rooms; all by default"
+    )
     args = parser.parse_args()
     copy_code()
     os.chdir(TREE)

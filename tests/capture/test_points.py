@@ -13,6 +13,7 @@ from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Depth
 from sphericalvision.capture.points import grid_faces, grid_mesh, hangs_between, surface_normals
 from sphericalvision.core import ArgumentError
+from sphericalvision.geometry.surfaces import distance_along
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import WinnerTakesAll
 from sphericalvision.sphere import Equirectangular

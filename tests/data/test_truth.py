@@ -214,6 +214,8 @@ def test_planes_so_steep_that_depth_hangs_on_the_pixel_are_not_told() -> None:
     depth, valid = truth_from_points(points, camera, gap=0.1)
     distance = points.double().norm(dim=-1)
     pixels = _pixels_of(camera, points.double() / distance[:, None]) + 1
-    nearest = torch.full((122,), math.inf).scatter_reduce(0, pixels, distance.float(), "amin")[1:].view(11, 11)
+    nearest = (
+        torch.full((122,), math.inf).scatter_reduce(0, pixels, distance.float(), "amin")[1:].view(11, 11)
+    )
     assert valid.sum() > 30
     assert (depth / nearest)[valid].max() < 1.3

@@ -8,7 +8,7 @@ as: mutmut changes what is imported from its folder.
 
 python -m tests.mutants --each 80 --seed 0     # draw, try, and show what survived
 python -m tests.mutants --only data metrics    # of the rooms whose patterns have one of these words
-python -m tests.mutants --list                 # only their names, for ``mutmut run NAME`` and ``mutmut show NAME`` there
+python -m tests.mutants --list                 # only their names, for ``mutmut run`` and ``mutmut show`` there
 """
 
 import argparse

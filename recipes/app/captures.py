@@ -57,6 +57,7 @@ __all__ = [
     "PosedCapture",
     "cut_to_visible",
     "masked_by_itself",
+    "print_labels",
     "visible_part",
     "with_own_body_masked",
 ]
@@ -106,8 +107,7 @@ class Capture(Calibration):
             rig, files = rig_with_masks(rig, self.masks, self.cameras)
         source = open_source(self.images, rig, self.frames, files, self.cameras, self.tolerance)
         rig = source.rig
-        if source.labels:
-            print("Images: " + ", ".join(f"{name} is {label}" for name, label in source.labels.items()) + ".")
+        print_labels(source)
         sizes = source.sizes()
         source.rig = rig_for_images(rig, sizes)
         for name in rig.names:
@@ -254,6 +254,12 @@ class PosedCapture(Capture):
         masks = [read_mask(file, size, "the mask") for file in files]
         source.rig = single.replaced(masks=dict(zip([NAME], masks, strict=False)))
         return source
+
+
+def print_labels(source: Source) -> None:
+    """Print which files or streams are whose, where it is not said by their names."""
+    if source.labels:
+        print("Images: " + ", ".join(f"{name} is {label}" for name, label in source.labels.items()) + ".")
 
 
 def masked_by_itself(source: Source, folder: Path) -> CameraRig:

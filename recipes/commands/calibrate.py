@@ -6,7 +6,7 @@ from __future__ import annotations
 import glob
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -20,11 +20,17 @@ from sphericalvision.cameras.registry import camera_model_names
 from sphericalvision.capture import calibrate_rig
 from sphericalvision.capture.calibrating.boards import Board, Charuco, Checkerboard, read_board
 from sphericalvision.capture.calibrating.refine import FEWEST, RefinedRig
+from sphericalvision.capture.sources.frames import Selection
+from sphericalvision.capture.sources.opening import spread_evenly
+from sphericalvision.capture.sources.streams import count_streams
+from sphericalvision.capture.sources.videos import VIDEO_SUFFIXES, Videos
+from sphericalvision.capture.sources.views import rig_of_views, split_views
 from sphericalvision.core import ArgumentError, MissingFileError, check_choice
 from sphericalvision.geometry import angle_from_axis
 from sphericalvision.io.images import read_image
+from sphericalvision.recipes.app.captures import print_labels
 from sphericalvision.recipes.app.cli import console, print_table
-from sphericalvision.recipes.app.kinds import STRICT, Count, FullAngle, OnlyWith, Positive, Text
+from sphericalvision.recipes.app.kinds import STRICT, Count, FullAngle, Names, OnlyWith, Positive, Text
 from sphericalvision.recipes.app.rigs import keys_named
 
 __all__ = ["CalibrateConfig", "board_of", "calibrate"]
@@ -35,6 +41,8 @@ class CalibrateConfig:
     """Keys of ``conf/calibrate.yaml``."""
 
     images: Text
+    cameras: Names | None
+    num_frames: Count
     board: Text
     square: Positive | None
     marker: Positive | None
@@ -58,11 +66,18 @@ MOST_PICTURES = 5
 """That are listed, those with the largest errors."""
 
 
+class Moment(NamedTuple):
+    """Pictures of one moment: camera -> what to call its picture, and the picture, ``(3, h, w)`` in [0, 1]."""
+
+    labels: Mapping[str, str]
+    images: Mapping[str, Tensor]
+
+
 class Pictures(NamedTuple):
     """Corners on all pictures, by moment and camera."""
 
-    files: Mapping[str, Mapping[str, Path]]
-    """Moment -> camera -> file."""
+    labels: list[Mapping[str, str]]
+    """Of each moment: camera -> what to call its picture."""
     sizes: dict[str, tuple[int, int]]
     pixels: Tensor
     """(n, cameras, m, 2)."""
@@ -82,9 +97,17 @@ def calibrate(config: CalibrateConfig) -> RefinedRig:
     board = board_of(config)
     files = _files(config.images)
     names = sorted({name for cameras in files.values() for name in cameras})
+    if config.cameras is not None:
+        if names != [LONE]:
+            raise ArgumentError(
+                "cameras: they are those in one picture or video; a pattern with {camera} names the cameras itself"
+            )
+        names = list(map(str, config.cameras))
     if config.format is not None:
         check_choice("format", config.format, CAMERA_FORMATS if names == [LONE] else RIG_FORMATS)
-    pictures = _read(files, names, board)
+    pictures = _read(
+        _moments(files, [] if config.cameras is None else names, config.num_frames), names, board
+    )
     with keys_named(pixels="images"):
         result = calibrate_rig(
             board.points,
@@ -153,28 +176,79 @@ def _files(pattern: str) -> dict[str, dict[str, Path]]:
     return files
 
 
-def _read(files: Mapping[str, Mapping[str, Path]], names: list[str], board: Board) -> Pictures:
+def _moments(files: Mapping[str, Mapping[str, Path]], views: list[str], num_frames: int) -> Iterator[Moment]:
+    """The pictures, and some frames of videos.
+
+    Args:
+        files: moment -> camera -> picture or video.
+        views: names of cameras whose views each of them holds; empty where it holds those of one.
+        num_frames: of a video.
+    """
+    for cameras in files.values():
+        if all(path.suffix.lower() in VIDEO_SUFFIXES for path in cameras.values()):
+            yield from _of_videos(cameras, views, num_frames)
+            continue
+        images = {name: read_image(path, what="a picture of the board") for name, path in cameras.items()}
+        labels = {name: str(path) for name, path in cameras.items()}
+        if views:
+            picture = images[LONE].movedim(0, -1)
+            parts = split_views(picture, rig_of_views(views, picture.shape[:2]))
+            images = {name: view.movedim(-1, 0) for name, view in parts.items()}
+            labels = {name: f"{labels[LONE]} ({name})" for name in views}
+        yield Moment(labels, images)
+
+
+def _of_videos(files: Mapping[str, Path], views: list[str], num_frames: int) -> Iterator[Moment]:
+    if views:
+        source = Videos({"": files[LONE]}, rig_of_views(views, (8, 8 * len(views))))
+        if "" in source.files:
+            source.whole = source.rig = rig_of_views(views, source.picture_sizes[""])
+        print_labels(source)
+    elif list(files) == [LONE] and (number := count_streams(files[LONE])) > 1:
+        raise ArgumentError(
+            f"cameras: {files[LONE]} has {number} video streams; name their cameras, [front,back]"
+        )
+    else:
+        source = Videos(files, rig_of_views(list(files), (8, 8 * len(files))))
+    names = source.names(Selection())
+    chosen = None if names is None else set(spread_evenly(names, num_frames))
+    for frame in source.frames(Selection(), lambda name: chosen is None or name in chosen):
+        if frame.images is None:
+            raise frame.error or ArgumentError(f"images: frame {frame.name} has none")
+        images = {name: torch.from_numpy(image).movedim(-1, 0) / 255 for name, image in frame.images.items()}
+        yield Moment({name: f"frame {frame.name} of {name}" for name in images}, images)
+
+
+def _read(moments: Iterable[Moment], names: list[str], board: Board) -> Pictures:
     sizes: dict[str, tuple[int, int]] = {}
-    shape = len(files), len(names), len(board.points)
-    pixels, seen = torch.zeros(*shape, 2).double(), torch.zeros(shape).bool()
+    labels: list[Mapping[str, str]] = []
+    shape = len(names), len(board.points)
+    pixels, seen = [torch.zeros(0, *shape, 2).double()], [torch.zeros(0, *shape).bool()]
     with console.status("looking for the board"):
-        for moment, cameras in enumerate(files.values()):
-            for name, path in cameras.items():
-                what = "a picture of the board, of the size of the first one"
-                image = read_image(path, sizes.get(name), what)
-                sizes[name] = (image.shape[-2], image.shape[-1])
+        for moment in moments:
+            labels.append(moment.labels)
+            pixels.append(torch.zeros(1, *shape, 2).double())
+            seen.append(torch.zeros(1, *shape).bool())
+            for name, image in moment.images.items():
+                height, width = sizes.setdefault(name, (image.shape[-2], image.shape[-1]))
+                if image.shape[-2:] != (height, width):
+                    raise ArgumentError(
+                        f"images: {moment.labels[name]} has {image.shape[-1]} x {image.shape[-2]} pixels (width x "
+                        f"height), expected {width} x {height}, the size of the first picture of {name}"
+                    )
                 place = names.index(name)
-                pixels[moment, place], seen[moment, place] = board.find(image)
+                pixels[-1][0, place], seen[-1][0, place] = board.find(image)
+    corners, valid = torch.cat(pixels), torch.cat(seen)
     for place, name in enumerate(names):
-        count = sum(name in cameras for cameras in files.values())
-        boards = int((seen[:, place].sum(-1) >= FEWEST).sum())
+        count = sum(name in moment for moment in labels)
+        boards = int((valid[:, place].sum(-1) >= FEWEST).sum())
         if boards < 3:
             raise ArgumentError(
                 f"images: the board is found on {boards} of {count} pictures of {name}, and three are needed, better "
                 "twenty; for squares board= counts the corners between them, not the squares; leave a white border "
                 "around the board"
             )
-    return Pictures(files, {name: sizes[name] for name in names}, pixels, seen)
+    return Pictures(labels, {name: sizes[name] for name in names}, corners, valid)
 
 
 def _report(result: RefinedRig, pictures: Pictures) -> None:
@@ -184,13 +258,13 @@ def _report(result: RefinedRig, pictures: Pictures) -> None:
     errors = (squares.sum(-1) / used.sum(-1)).sqrt()  # nan where there is no board
     names = list(pictures.sizes)
     rows = [
-        [str(pictures.files[moment][name]), f"{errors[number, place]:.3f}"]
-        for number, moment in enumerate(pictures.files)
+        [moment[name], f"{errors[number, place]:.3f}"]
+        for number, moment in enumerate(pictures.labels)
         for place, name in enumerate(names)
         if bool(used[number, place].any())
     ]
     rows.sort(key=lambda row: -float(row[1]))
-    count = sum(map(len, pictures.files.values()))
+    count = sum(map(len, pictures.labels))
     print_table(
         f"boards on {len(rows)} of {count} pictures; the worst", ["picture", "RMS (px)"], rows[:MOST_PICTURES]
     )

@@ -15,15 +15,17 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, coverage, field_of_view, overlap
 from sphericalvision.cameras.field_of_view import focal_length_on_axis
-from sphericalvision.capture.sources.frames import find_capture, find_labels, read_frame
-from sphericalvision.capture.sources.opening import rig_with_masks, spread_evenly
+from sphericalvision.capture.sources.frames import Selection
+from sphericalvision.capture.sources.opening import open_source, rig_with_masks
+from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.files import part_of_name
 from sphericalvision.io.images import write_image
-from sphericalvision.recipes.app.captures import visible_part
+from sphericalvision.recipes.app.captures import print_labels, visible_part
 from sphericalvision.recipes.app.cli import console, print_table
 from sphericalvision.recipes.app.kinds import STRICT, Distance, Names, Number, OnlyWith, Text
-from sphericalvision.recipes.app.rigs import Calibration
+from sphericalvision.recipes.app.rigs import Calibration, keys_named
+from sphericalvision.sphere.intake import as_photographs
 from sphericalvision.viz import angle_map, coverage_panorama, rig_picture
 
 __all__ = ["InspectConfig", "inspect", "load_rig", "print_cameras", "print_poses", "save_pictures"]
@@ -120,18 +122,23 @@ def inspect(config: InspectConfig, folder: Path) -> list[Path]:
     whole, has_poses = load_rig(config)
     cameras = whole.names if config.cameras is None else [str(name) for name in config.cameras]
     rig = whole.subset(cameras)
+    files: list[Path] = []
     if config.masks is not None:
-        rig, _ = rig_with_masks(whole, config.masks, cameras)
+        rig, files = rig_with_masks(whole, config.masks, cameras)
         rig = rig.subset(cameras)
     images: Mapping[str, Tensor] = {}
     if config.images is not None:
-        labels = find_labels(config.images, whole.names, cameras)
         frames = None if config.frame is None else [config.frame]
-        files = find_capture(config.images, cameras, frames, labels=labels)
-        images = read_frame(next(iter(files.values())), rig)
+        with keys_named(frames="frame"):
+            source = open_source(config.images, whole, frames, files, cameras)
+        print_labels(source)
+        samples = [as_photographs(frame.images, rig) for frame in source.samples() if frame.images]
+        if not samples:
+            error = None if source.live else next(source.frames(Selection(), lambda _: True)).error
+            raise error or ArgumentError("images: expected a recording, not live cameras")
+        images = samples[0]
         if config.file.max_angle_deg is None:
-            chosen = spread_evenly(list(files), 3)
-            rig = visible_part(rig, [images, *(read_frame(files[frame], rig) for frame in chosen[1:])])
+            rig = visible_part(rig, samples)
     print_cameras(rig, str(config.file.calibration))
     if has_poses:
         print_poses(rig, config)

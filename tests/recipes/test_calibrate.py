@@ -6,13 +6,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 from sphericalvision.cameras import FisheyeCamera, KannalaBrandtCamera, read_camera, read_rig
 from sphericalvision.capture import AprilGrid, Charuco
+from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import angle_from_axis
-from sphericalvision.io.images import write_image
+from sphericalvision.io.images import read_image, write_image
+from sphericalvision.recipes.commands import calibrate as commands
 from tests.recipes.board_pictures import (
     COLUMNS,
     ROWS,
@@ -25,7 +28,7 @@ from tests.recipes.board_pictures import (
     back_to_back,
     write_boards,
 )
-from tests.recipes.tiny import Run
+from tests.recipes.tiny import Run, write_streams
 
 TARGET = "target_type: 'aprilgrid'\ntagCols: 6\ntagRows: 6\ntagSize: 0.07\ntagSpacing: 0.3\n"
 GRID = AprilGrid(6, 6, 0.07, 0.3), ["board=target.yaml"]
@@ -99,6 +102,51 @@ def test_a_lens_is_calibrated_from_pictures(
     pixels = TRUTH.pixel_grid()[40:200:20, 60:260:20].reshape(-1, 2)
     rays = TRUTH.unproject(pixels).directions
     assert (camera.project(rays).pixels - pixels).norm(dim=-1).max() < 0.6
+
+
+def test_views_in_one_picture_or_video_are_those_of_their_cameras(
+    failing: Callable[..., str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Pictures of each camera, both in one, a video of such, and one with two streams: the same corners."""
+    pytest.importorskip("av")
+    write_boards(tmp_path / "views/back")
+    pairs = []
+    for number, path in enumerate(sorted((tmp_path / "views/back").glob("*.png"))):
+        if number > 3:
+            path.unlink()
+            continue
+        back = (255 * read_image(path)).round().byte().movedim(0, -1).numpy()
+        front = np.roll(back, number % 3 - 1, 1)
+        write_image(tmp_path / f"views/front/{path.name}", front)
+        write_image(tmp_path / f"both/{path.name}", np.concatenate((back, front), 1))
+        pairs.append((back, front))
+    write_streams(tmp_path / "wide.mkv", [[np.concatenate(pair, 1) for pair in pairs]], "ffv1")
+    write_streams(tmp_path / "streams.mkv", list(zip(*pairs, strict=True)), "ffv1")
+    words = (f"board={COLUMNS}x{ROWS}", f"square={SQUARE}", "num_coefficients=2", "field_of_view_deg=130")
+    found = []
+
+    def stop(
+        points: torch.Tensor, pixels: torch.Tensor, sizes: object, to: str, seen: object, **keys: object
+    ) -> None:
+        found.append((sizes, pixels, seen))
+        raise ArgumentError("stop: boards are found")
+
+    monkeypatch.setattr(commands, "calibrate_rig", stop)
+    for images in ("views/{camera}/*.png", "both/*.png", "wide.mkv", "streams.mkv"):
+        names = () if "{" in images else ("cameras=[back,front]",)
+        assert "boards are found" in failing("calibrate", f"images={tmp_path}/{images}", *names, *words)
+    assert list(found[0][0]) == ["back", "front"]
+    assert found[0][2].any(-1).all()
+    for sizes, pixels, seen in found[1:]:
+        assert sizes == found[0][0]
+        assert torch.equal(pixels, found[0][1])
+        assert torch.equal(seen, found[0][2])
+    message = failing("calibrate", f"images={tmp_path}/streams.mkv", *words)
+    assert "has 2 video streams; name their cameras" in message
+    message = failing("calibrate", f"images={tmp_path}/views/{{camera}}/*.png", "cameras=[a,b]", *words)
+    assert "cameras: they are those in one picture or video" in message
+    message = failing("calibrate", f"images={tmp_path}/wide.mkv", "cameras=[a,b,c,d,e,f,g]", *words)
+    assert "cameras: 7 views in rows and columns do not fill a picture of 640 x 240" in message
 
 
 def test_mistakes_are_named(failing: Callable[..., str], tmp_path: Path) -> None:

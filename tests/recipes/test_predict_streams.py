@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 import threading
@@ -22,6 +23,7 @@ from sphericalvision.capture import Depth, calibrate_photometry
 from sphericalvision.capture.estimating import Behind, ahead, side_by_side, threads_kept
 from sphericalvision.capture.outputs import Outputs, Panoramas, Settings
 from sphericalvision.capture.preparation.preparation import Compensation
+from sphericalvision.capture.sources import streams
 from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.capture.sources.opening import open_source, rig_for_images
 from sphericalvision.capture.sources.views import views_layout
@@ -29,7 +31,8 @@ from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.io.images import read_image, write_image
 from sphericalvision.models import SemiGlobalSweep
 from sphericalvision.recipes.app.captures import masked_by_itself
-from tests.recipes.tiny import Run
+from sphericalvision.scenes import make_scene, render_rig
+from tests.recipes.tiny import Run, write_capture, write_streams
 
 SIZE = (32, 40)
 FRAMES = 7
@@ -221,9 +224,86 @@ def test_videos_of_different_rates_are_no_frames_of_one_moment(
 
 
 @pytest.mark.parametrize("suffix", [".insv", ".360", ".lrv", ".MTS"])
-def test_containers_of_several_streams_are_named(tmp_path: Path, suffix: str) -> None:
-    with pytest.raises(ArgumentError, match=rf"suffix \{suffix} is of no video.*-map 0:v:0"):
-        open_source(str(tmp_path / f"{{camera}}{suffix}"), RIG)
+def test_videos_of_360_cameras_are_videos(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str
+) -> None:
+    pytest.importorskip("av")
+    for camera in range(4):
+        file = tmp_path / f"cam{camera + 1}{suffix}"
+        write_streams(file, [[picture(frame, camera) for frame in range(FRAMES)]])
+    frames = list(open_source(str(tmp_path), RIG).frames(Selection(), lambda _: True))
+    assert len(frames) == FRAMES
+    np.testing.assert_allclose(values(frames[3]), [110, 115, 120, 125], atol=3)
+    monkeypatch.setattr(streams, "find_spec", lambda name: None)  # no PyAV: the header tells of one stream
+    assert open_source(str(tmp_path), RIG).names(Selection()) == [frame.name for frame in frames]
+    (tmp_path / f"cam2{suffix}").write_bytes(b"G" * 1000)
+    with pytest.raises(
+        ArgumentError, match=r"cam2\S* may hold several video streams.*sphericalvision\[video\]"
+    ):
+        open_source(str(tmp_path), RIG)
+
+
+def test_streams_of_one_file_are_the_cameras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("av")
+    file = tmp_path / "VID.insv"
+    write_streams(file, [[picture(frame, camera) for frame in range(FRAMES)] for camera in range(4)])
+    source = open_source(str(file), RIG)
+    assert source.labels == {name: f"stream {place}" for place, name in enumerate(RIG.names)}
+    assert source.sizes() == dict.fromkeys(RIG.names, SIZE)
+    assert source.names(Selection(5)) == ["000005", "000006"]
+    np.testing.assert_allclose(source.times(), np.arange(FRAMES) / 5, atol=1e-3)
+    for frame in (*source.samples(), *source.frames(Selection(1, 6, 2), lambda _: True)):
+        number = int(frame.name)
+        np.testing.assert_allclose(
+            values(frame), [20 + 30 * number + 5 * camera for camera in range(4)], atol=3
+        )
+    assert [int(frame.name) for frame in source.samples()] == [0, 3, 5]
+
+    some = open_source(str(file), RIG, cameras=["cam3"])
+    assert some.labels == {"cam3": "stream 2"}
+    (frame,) = some.frames(Selection(2, 3), lambda _: True)
+    assert frame.images is not None
+    assert abs(float(np.mean(frame.images["cam3"])) - 90) < 3
+    with pytest.raises(
+        ArgumentError, match=r"VID.insv has 4 video streams, expected one for each of the 2 camera"
+    ):
+        open_source(str(file), RIG.subset(["cam1", "cam2"]))
+    file.rename(tmp_path / "VID.mp4")
+    monkeypatch.setattr(streams, "find_spec", lambda name: None)
+    with pytest.raises(ArgumentError, match=r"VID.mp4 holds several.*PyAV.*sphericalvision\[video\]"):
+        open_source(str(tmp_path / "VID.mp4"), RIG)
+
+
+def test_a_file_of_two_lenses_is_a_panorama_in_one_command(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What a camera with two fisheyes back to back writes, and the same views as pictures: one panorama."""
+    pytest.importorskip("av")
+    rig = ring_rig(2, 0.02, (128, 128), math.radians(200))
+    images = render_rig(make_scene("room", seed=3), rig)
+    frames = {name: (255 * image).byte().movedim(0, -1).numpy() for name, image in images.items()}
+    write_capture(tmp_path, rig, images)
+    write_streams(tmp_path / "VID.insv", [[frames[name]] * 2 for name in rig.names])
+    words = (
+        "calibration=rig.yaml",
+        "outputs=[panorama]",
+        "height=64",
+        "level=3",
+        "method=semi_global",
+        "align=false",
+    )
+    run("predict", *words, "images=VID.insv", "output=video")
+    assert "Images: cam1 is stream 0, cam2 is stream 1." in capsys.readouterr().out
+    run("predict", *words, "images={camera}/{frame}.png", "output=pictures")
+    video, pictures = (
+        read_image(next((tmp_path / folder).glob("*panorama.png"))) for folder in ("video", "pictures")
+    )
+    assert video.shape == (3, 64, 128)
+    assert video.std() > 0.1
+    assert (video - pictures).abs().mean() < 0.02  # what a codec loses
+    run("inspect", "calibration=rig.yaml", "images=VID.insv", "level=3", "output=seen")
+    assert "cam2 is stream 1" in capsys.readouterr().out
+    assert (tmp_path / "seen/angles_cam2.png").is_file()
 
 
 def test_a_whole_video_whose_header_is_off_about_its_length_is_whole(tmp_path: Path) -> None:

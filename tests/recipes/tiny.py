@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from hydra import compose, initialize_config_module
 from omegaconf import DictConfig
 from torch import Tensor
@@ -52,6 +54,22 @@ def write_capture(
         for name, image in images.items():
             write_image(folder / file.format(camera=name, frame=frame), image)
     return folder
+
+
+def write_streams(path: Path, videos: Sequence[Sequence[np.ndarray]], codec: str = "mpeg4") -> None:
+    """Videos of five frames a second as streams of one file: MP4, or Matroska with the codec FFV1."""
+    import av
+
+    with av.open(str(path), "w", format="mp4" if codec == "mpeg4" else "matroska") as file:
+        targets: list[Any] = [file.add_stream(codec, rate=5) for _ in videos]
+        for target, (first, *_) in zip(targets, videos, strict=True):
+            target.height, target.width = first.shape[:2]
+            target.pix_fmt, target.bit_rate = "yuv420p" if codec == "mpeg4" else "bgr0", 8_000_000
+        for pictures in zip(*videos, strict=True):
+            for target, picture in zip(targets, pictures, strict=True):
+                file.mux(target.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        for target in targets:
+            file.mux(target.encode(None))
 
 
 def command_after(printed: str, label: str) -> list[str]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.sources.frames import Files, Source, find_capture, find_labels, find_masks
-from sphericalvision.capture.sources.videos import OTHER_VIDEOS, VIDEO_SUFFIXES, Videos
+from sphericalvision.capture.sources.videos import VIDEO_SUFFIXES, Videos
 from sphericalvision.core import ArgumentError, MissingFileError
 from sphericalvision.io.images import read_mask
 from sphericalvision.io.times import SAME_TIME
@@ -42,8 +42,8 @@ def open_source(
 
     Args:
         images: a pattern of image files (``c/cam{camera}/{frame:05d}.png``) or of videos (``c/{camera}.mp4``); a
-            folder; a video, or stills (``c/{frame}.jpg``), with all views side by side; or ``live:0,1,2,3``, devices of
-            this machine, or ``live:0``, one with all views.
+            folder; a video with all views side by side or in a stream for each camera; stills (``c/{frame}.jpg``) with
+            all views side by side; or ``live:0,1,2,3``, devices of this machine, or ``live:0``, one with all views.
         rig: all cameras of the calibration: which file belongs to which is decided on all of them.
         frames: names or numbers of the frames to take, of image files.
         leave_out: files that are no images, such as masks beside them.
@@ -60,12 +60,6 @@ def open_source(
         return Videos(_devices(images, used), used, rig)
     path = Path(images).expanduser()
     suffix = path.suffix.lower()
-    if suffix in OTHER_VIDEOS:
-        raise ArgumentError(
-            f"images: {path}: the suffix {path.suffix} is of no video that is read here ({', '.join(VIDEO_SUFFIXES)}). "
-            "Such files may hold several streams; write each to a file of its own, "
-            f"ffmpeg -i in{path.suffix} -map 0:v:0 -c copy cam1.mp4, and so on with 0:v:1"
-        )
     if suffix in VIDEO_SUFFIXES:
         _refuse_frames(frames)
         if "{" not in images:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames of video files and live cameras, by OpenCV: one for each camera, or one with the views side by side."""
+"""Frames of videos and live cameras: one for each camera, one with views side by side, or one of several streams."""
 
 from __future__ import annotations
 
@@ -15,38 +15,40 @@ import numpy.typing as npt
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.sources.frames import Frame, Selection
+from sphericalvision.capture.sources.streams import OF_360_CAMERAS, Stream, StreamCapture, count_streams
 from sphericalvision.capture.sources.views import size_of_view, split_views
 from sphericalvision.core import ArgumentError, FileFormatError
 
-__all__ = ["OTHER_VIDEOS", "VIDEO_SUFFIXES", "Videos"]
+__all__ = ["VIDEO_SUFFIXES", "Videos"]
 
-VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
-OTHER_VIDEOS = (".insv", ".360", ".lrv", ".mts", ".m2ts", ".ts")
-"""Of 360 cameras and camcorders: containers that may hold several streams, of which OpenCV reads the first alone."""
-COUNTED = (".mp4", ".avi", ".mov", ".m4v")
+VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", *OF_360_CAMERAS)
+COUNTED = (".mp4", ".avi", ".mov", ".m4v", ".insv", ".360", ".lrv")
 """Those whose headers say how many frames there are."""
 Picture = npt.NDArray[Any]
-Opened = dict[str, cv2.VideoCapture]
+Opened = dict[str, cv2.VideoCapture | StreamCapture]
 
 
 class Videos:
     """Frames of videos or live cameras.
 
     Args:
-        files: camera name -> file or index of a device; or under the name ``""`` one that has all views.
+        files: camera name -> file or index of a device; or under the name ``""`` one that has all views, side by side
+            or in a video stream for each camera, in their order.
         rig: of the cameras.
         whole: the rig whose cameras say how views lie side by side, of which ``rig`` has some; ``rig`` when not given.
 
     Raises:
-        ArgumentError: rates differ, so that frames of one number are of different moments.
+        ArgumentError: rates differ, so that frames of one number are of different moments; or a file has several
+            streams, and not one for each camera.
         FileFormatError: OpenCV cannot open or decode one of them.
     """
 
     def __init__(
         self, files: Mapping[str, Path | int], rig: CameraRig, whole: CameraRig | None = None
     ) -> None:
-        self.files, self.rig, self.whole = dict(files), rig, rig if whole is None else whole
+        self.rig, self.whole = rig, rig if whole is None else whole
         self.labels: dict[str, str] = {}
+        self.files = self._with_streams(files)
         self._sampled: list[Frame] = []
         self.live = isinstance(next(iter(self.files.values())), int)
         with ExitStack() as stack:
@@ -54,7 +56,7 @@ class Videos:
             rates = {name: video.get(cv2.CAP_PROP_FPS) or 0.0 for name, video in videos.items()}
             self.rate = next(iter(rates.values()))
             counts = {name: int(video.get(cv2.CAP_PROP_FRAME_COUNT)) for name, video in videos.items()}
-            self._sizes = {
+            self.picture_sizes = {
                 name: (int(video.get(cv2.CAP_PROP_FRAME_HEIGHT)), int(video.get(cv2.CAP_PROP_FRAME_WIDTH)))
                 for name, video in videos.items()
             }
@@ -70,11 +72,28 @@ class Videos:
                 stacklevel=2,
             )
 
+    def _with_streams(self, files: Mapping[str, Path | int]) -> dict[str, Path | int | Stream]:
+        """Files, or the streams of the one that has a stream for each camera, which are labels then."""
+        for name, file in files.items():
+            number = 1 if isinstance(file, int) else count_streams(file)
+            if number == 1:
+                continue
+            if name or number != len(self.whole):
+                raise ArgumentError(
+                    f"images: {file} has {number} video streams, expected one for each of the {len(self.whole)} "
+                    f"camera(s) of the calibration in one file, or one alone in a file of each camera. Write each to a "
+                    f"file of its own: ffmpeg -i in{file.suffix} -map 0:v:0 -c copy cam1.mp4, and so on with 0:v:1"
+                )
+            places = {name: self.whole.names.index(name) for name in self.rig.names}
+            self.labels = {name: f"stream {place}" for name, place in places.items()}
+            return {name: Stream(file, place) for name, place in places.items()}
+        return dict(files)
+
     def sizes(self) -> dict[str, tuple[int, int]]:
         """Camera name -> (height, width) of its images."""
-        if "" not in self._sizes:
-            return self._sizes
-        return dict.fromkeys(self.rig.names, size_of_view(self._sizes[""], self.whole))
+        if "" not in self.picture_sizes:
+            return self.picture_sizes
+        return dict.fromkeys(self.rig.names, size_of_view(self.picture_sizes[""], self.whole))
 
     def times(self) -> list[float]:
         """Seconds of each frame since the first, as the file has them: frames may last unevenly long.
@@ -135,7 +154,7 @@ class Videos:
                 yield Frame(_name(number), self._by_camera(images))
 
     def _missing(
-        self, file: Path | int, number: int, selection: Selection, wanted: Callable[[str], bool]
+        self, file: Path | int | Stream, number: int, selection: Selection, wanted: Callable[[str], bool]
     ) -> Iterator[Frame]:
         """Frames after the end of a video that its header promises, chosen and wanted; each says why it is not there.
 
@@ -144,7 +163,7 @@ class Videos:
         """
         promised = self.num_frames or 0
         if promised > number and not str(file).lower().endswith(COUNTED):
-            cut = _is_cut(Path(str(file)))
+            cut = _is_cut(Path(file.file if isinstance(file, Stream) else str(file)))
             promised = promised if cut or (cut is None and promised - number > self.rate) else number
         error = FileFormatError(
             f"{file}: ends after {number} of the {promised} frames that its header promises; copy it again, or "
@@ -162,9 +181,13 @@ class Videos:
         return {name: views[name] for name in self.rig.names}
 
     def _open(self, stack: ExitStack) -> Opened:
-        videos = {}
+        videos: Opened = {}
         for name, file in self.files.items():
-            video = cv2.VideoCapture(file if isinstance(file, int) else str(file))
+            video: Any
+            if isinstance(file, Stream):
+                video = StreamCapture(file)
+            else:
+                video = cv2.VideoCapture(file if isinstance(file, int) else str(file))
             stack.callback(video.release)
             video.set(
                 cv2.CAP_PROP_ORIENTATION_AUTO, 0

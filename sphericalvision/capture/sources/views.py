@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
-from sphericalvision.cameras import CameraRig
+import torch
+
+from sphericalvision.cameras import CameraRig, FisheyeCamera
 from sphericalvision.core import ArgumentError
 
-__all__ = ["size_of_view", "split_views", "views_layout"]
+__all__ = ["rig_of_views", "size_of_view", "split_views", "views_layout"]
 
 
 def split_views(image: Any, rig: CameraRig) -> dict[str, Any]:
@@ -69,3 +72,28 @@ def views_layout(size: Sequence[int], rig: CameraRig) -> tuple[int, int]:
         f"images: a picture of {size[1]} x {size[0]} (width x height) does not hold {number} views of the shape "
         f"{shapes} in rows and columns"
     )
+
+
+def rig_of_views(names: Sequence[str], size: Sequence[int]) -> CameraRig:
+    """Stand-ins for cameras that nobody has calibrated: their views fill a picture, as nearly square as they can.
+
+    Raises:
+        ArgumentError: so many views do not fill it.
+
+    Examples:
+        >>> rig_of_views(["front", "back"], (960, 1920)).cameras["back"].image_size
+        (960, 960)
+    """
+    number = len(names)
+    views = [
+        (size[0] // rows, size[1] * rows // number)
+        for rows in range(1, number + 1)
+        if number % rows == 0 and size[0] % rows == 0 and size[1] % (number // rows) == 0
+    ]
+    if not views:
+        raise ArgumentError(
+            f"cameras: {number} views in rows and columns do not fill a picture of {size[1]} x {size[0]} pixels"
+        )
+    view = min(views, key=lambda shape: abs(math.log(shape[0] / shape[1])))
+    camera = FisheyeCamera.from_field_of_view(view, math.pi)
+    return CameraRig(dict.fromkeys(names, camera), torch.eye(4).repeat(number, 1, 1))

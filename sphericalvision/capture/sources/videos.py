@@ -75,8 +75,7 @@ class Videos:
     def _with_streams(self, files: Mapping[str, Path | int]) -> dict[str, Path | int | Stream]:
         """Files, or the streams of the one that has a stream for each camera, which are labels then."""
         for name, file in files.items():
-            number = 1 if isinstance(file, int) else count_streams(file)
-            if number == 1:
+            if isinstance(file, int) or (number := count_streams(file)) == 1:
                 continue
             if name or number != len(self.whole):
                 raise ArgumentError(

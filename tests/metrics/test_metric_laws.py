@@ -25,6 +25,7 @@ from sphericalvision.metrics import (
     StereoError,
     angular_error,
 )
+from sphericalvision.metrics.images import MeanOverImages
 from sphericalvision.metrics.spread import bootstrap_interval, error_of_surest
 
 METRICS: dict[str, tuple[Callable[[], Metric], tuple[int, ...]]] = {
@@ -223,3 +224,19 @@ def test_losses_and_gradients_ignore_what_is_outside_of_the_mask(
     expected = loss_and_gradient(0.0)
     assert (expected[1][:, ~mask] == 0).all()
     torch.testing.assert_close(loss_and_gradient(value), expected, rtol=0, atol=0)
+
+
+def test_an_image_counts_unless_all_of_its_errors_are_nan() -> None:
+    """One error that is not a number is shown by its mean, and takes no image out of the others."""
+
+    class Given(MeanOverImages):
+        error_names = ("a", "b")
+
+        def _errors(self, pred: Tensor, *args: object) -> dict[str, Tensor]:
+            return {"a": pred[:, 0], "b": pred[:, 1]}
+
+    metric = Given()
+    metric.update(torch.tensor([[math.nan, 2.0], [1.0, 4.0], [math.nan, math.nan]]), torch.ones(3, 2))
+    means = metric.compute()
+    assert means["a"].isnan()
+    assert means["b"] == 3.0

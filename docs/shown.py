@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the pages' own code uses, and no reader needs: example files, and pictures inside the page.
+"""What the pages' own hidden lines use: files of this project, and pictures, as parts of a page.
 
 MkDocs loads this file as a hook; ``on_config`` then makes it importable from the pages as ``shown``.
 """
@@ -7,28 +7,30 @@ MkDocs loads this file as a hook; ``on_config`` then makes it importable from th
 from __future__ import annotations
 
 import base64
+import hashlib
+import io
+import re
 import sys
-import tempfile
 from pathlib import Path
+from typing import Any
 
 import cv2
-import numpy as np
+import matplotlib
 
-_FOLDERS: list[tempfile.TemporaryDirectory[str]] = []  # kept until the end of the process
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+from mkdocs.utils import get_relative_url
+
+QUALITY = 90
+"""Of pictures in pages, as WebP files."""
 
 
 def on_config(config: object) -> None:
     """What MkDocs calls once it is configured."""
     sys.path.append(str(Path(__file__).parent))
-
-
-def example(**files: str) -> Path:
-    """A fresh folder with these files; ``__`` in a name stands for its dot."""
-    _FOLDERS.append(tempfile.TemporaryDirectory())
-    folder = Path(_FOLDERS[-1].name)
-    for name, text in files.items():
-        (folder / name.replace("__", ".")).write_text(text)
-    return folder
 
 
 def source(path: str, language: str = "yaml") -> str:
@@ -40,7 +42,34 @@ def source(path: str, language: str = "yaml") -> str:
     return f'```{language} title="{name}"\n{text}```\n'
 
 
-def picture(pixels: np.ndarray) -> str:
-    """An RGB picture (h, w, 3) as HTML; the page's own ``print`` is what markdown-exec collects."""
-    data = base64.b64encode(cv2.imencode(".png", pixels[..., ::-1])[1]).decode()
-    return f'<img class="picture" alt="" src="data:image/png;base64,{data}">'
+def html(picture: np.ndarray | Figure, alt: str) -> str:
+    """An RGB picture (h, w, 3) or a figure as HTML; the page's own ``print`` is what markdown-exec collects."""
+    if isinstance(picture, Figure):
+        data = io.BytesIO()
+        picture.savefig(data, format="png", dpi=130)
+        plt.close(picture)
+        encoded = data.getvalue()
+    else:
+        encoded = cv2.imencode(".png", picture[..., ::-1])[1].tobytes()
+    return (
+        f'<img class="picture" alt="{alt}" src="data:image/png;base64,{base64.b64encode(encoded).decode()}">'
+    )
+
+
+def on_post_page(output: str, page: Any, config: Any) -> str:
+    """Pictures inside a page become WebP files, which a browser loads when they come into view."""
+
+    def file(match: re.Match[str]) -> str:
+        data = base64.b64decode(match[2])
+        name = f"images/made/{hashlib.sha256(data).hexdigest()[:16]}.webp"
+        path = Path(config["site_dir"]) / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        cv2.imwrite(str(path), pixels, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
+        place = get_relative_url(name, page.url)
+        if match[1] == "src":
+            height, width = pixels.shape[:2]
+            return f'loading="lazy" width="{width}" height="{height}" src="{place}"'
+        return f'{match[1]}="{place}"'
+
+    return re.sub(r'([\w:]+)="data:image/png;base64,([^"]{1500,})"', file, output)

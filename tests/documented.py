@@ -39,7 +39,17 @@ from tests.recipes.scanned_sets import (
 )
 from tests.worlds import recorded_frames
 
-__all__ = ["PAGES", "ROOT", "Command", "blocks", "commands_of", "furnish", "mentioned_in", "run_command"]
+__all__ = [
+    "PAGES",
+    "ROOT",
+    "Command",
+    "blocks",
+    "commands_of",
+    "furnish",
+    "mentioned_in",
+    "run_command",
+    "visible_python",
+]
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -47,6 +57,8 @@ FENCE = re.compile(
     r"^(?P<indent> *)```(?P<info>[^\n`]+)\n(?P<body>.*?)^(?P=indent)```", re.DOTALL | re.MULTILINE
 )
 PROGRAM = re.compile(r"^(?:sphericalvision-|python -m sphericalvision\.recipes\.)(\w+)(?: |$)")
+HIDDEN = "markdown-exec: hide"
+"""Marks lines that a page runs and does not show."""
 SIZE = (32, 32)
 
 
@@ -67,6 +79,17 @@ def blocks(page: Path, language: str) -> Iterator[tuple[str, str]]:
                 title[1] if title else "",
                 "\n".join(line[indent:] for line in match["body"].splitlines()),
             )
+
+
+def visible_python(page: Path) -> Iterator[tuple[str, str]]:
+    """Title and body of the Python that a reader of a page sees and copies."""
+    for match in FENCE.finditer(page.read_text()):
+        info = match["info"]
+        if info.split()[0] != "python" or ('exec="true"' in info and "source=" not in info):
+            continue
+        title, indent = re.search(r'title="([^"]+)"', info), len(match["indent"])
+        lines = [line[indent:] for line in match["body"].splitlines() if HIDDEN not in line]
+        yield title[1] if title else "", "\n".join(lines)
 
 
 def commands_of(page: Path) -> list[Command]:

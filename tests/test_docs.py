@@ -13,22 +13,21 @@ import pytest
 import torch
 import yaml
 
-from tests.documented import PAGES, ROOT, blocks
+from tests.documented import PAGES, ROOT, visible_python
 
 
 @pytest.mark.usefixtures("copied_registries")
 @pytest.mark.parametrize(
     "page",
-    [page for page in PAGES if next(blocks(page, "python"), None) is not None],
+    [page for page in PAGES if next(visible_python(page), None) is not None],
     ids=lambda page: page.relative_to(ROOT).as_posix(),
 )
 def test_python_of_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The blocks of a page are one program, read from top to bottom."""
+    """What a page shows is one program: copied from top to bottom, it runs. Hidden lines run when the site is built."""
     monkeypatch.chdir(tmp_path)
     torch.manual_seed(0)  # pages draw random images, and tests before this one do, too
-    monkeypatch.syspath_prepend(ROOT / "docs")  # as MkDocs does for the pages' helper
     namespace: dict[str, object] = {"__name__": "page"}
-    for number, (title, source) in enumerate(blocks(page, "python"), start=1):
+    for number, (title, source) in enumerate(visible_python(page), start=1):
         if title.endswith(".py"):  # a file that a command line of the page takes, and tries
             continue
         exec(compile(source, f"{page.name}, block {number}", "exec"), namespace)

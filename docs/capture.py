@@ -29,7 +29,7 @@ from sphericalvision.scenes import make_scene, render_rig
 from sphericalvision.scenes.carriers import carrier_masks, with_carrier
 from sphericalvision.scenes.disturbances import CameraDisturbance
 from sphericalvision.sphere import Equirectangular
-from sphericalvision.viz import depth_to_color, rgb_panorama
+from sphericalvision.viz import depth_panorama, depth_to_color, rgb_panorama
 from sphericalvision.viz.color import fade, near_end
 from sphericalvision.viz.panorama import confidence_strength
 
@@ -107,9 +107,8 @@ def film() -> None:
         depth = predictor(photographs)
         around = depth.panorama(SIDE)
         nearest = nearest or near_end(around.depth, depth.min_depth)
-        colors = fade(
-            depth_to_color(around.depth, nearest), confidence_strength(around.confidence, around.seen)
-        )
+        strength = confidence_strength(around.confidence, around.seen)
+        colors = depth_panorama(around.depth, nearest, strength=strength)
         pictures.append(Image.fromarray(np.concatenate((side_by_side(photographs, SIDE // 2), colors), 0)))
         print(f"frame {frame + 1} of {FRAMES}", flush=True)
     there_and_back = pictures + pictures[-2:0:-1]

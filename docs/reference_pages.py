@@ -4,7 +4,7 @@
 ``on_page_markdown`` is called by MkDocs and puts a table of names above each ``::: sphericalvision.…`` of the API's
 pages; ``::: sphericalvision.… from base, models`` is the part of a package whose names come from these files and
 folders.
-``configuration_tables`` is called by the page of keys.
+``keys_of_command`` and ``keys_of_groups`` are called by the pages of keys.
 """
 
 from __future__ import annotations
@@ -125,33 +125,39 @@ def type_of(key: Key, path: Path) -> str:
     return words.get(type(value), "")
 
 
-def configuration_tables() -> str:
-    """Every file of ``conf/`` with its keys, commands first, then the groups."""
+def keys_of_command(command: str) -> str:
+    """The file of a command with its keys."""
+    text = (ROOT / "conf" / f"{command}.yaml").read_text()
+    groups = re.findall(r"^ {2}- (\w+): ", text.partition("defaults:")[2], re.M)
+    links = ", ".join(f"[`{name}`](groups.md#{name})" for name in groups if (ROOT / "conf" / name).is_dir())
+    parts = [" ".join(heading(text)), *([f"Groups: {links}."] if links else [])]
+    return "\n\n".join([*parts, keys_table(ROOT / "conf" / f"{command}.yaml")])
+
+
+def keys_of_groups() -> str:
+    """Every file of every group with its keys."""
     parts = []
-    files = sorted((ROOT / "conf").glob("*.yaml")) + sorted((ROOT / "conf").glob("*/*.yaml"))
-    group = None
-    for path in files:
-        text = path.read_text()
-        command = path.parent.name == "conf"
-        if group != (here := "Commands" if command else f"`{path.parent.name}=…`"):
-            group = here
-            parts.append(f"## {group}\n")
-        name = f"sphericalvision-{path.stem}" if command else f"{path.parent.name}={path.stem}"
-        parts.append(f"### `{name}`\n\n{' '.join(heading(text))}\n")
-        parents = re.findall(r"^ {2}- (\w+)\s*$", text.partition("defaults:")[2], re.M)
-        if parents := [parent for parent in parents if parent != "_self_"]:
-            parts.append(f"As {', '.join(f'`{parent}`' for parent in parents)}, and:\n")
-        groups = re.findall(r"^ {2}- (\w+): ", text.partition("defaults:")[2], re.M) if command else []
-        if groups:
-            parts.append(f"Keys of groups: {', '.join(f'[`{name}`](#{name})' for name in groups)}.\n")
-        rows = [
-            f"| `{key.name}` | {cell(key.value)} | {type_of(key, path)} | {key.comment.replace('|', chr(92) + '|')} |"
-            for key in read_keys(text)
-            if (key.value or key.comment) and not re.search(r"^hydra\b|_partial_$", key.name)
-        ]
-        if rows:
-            parts.append("| key | default | type | |\n|---|---|---|---|\n" + "\n".join(rows) + "\n")
-    return "\n".join(parts)
+    for folder in sorted(path for path in (ROOT / "conf").iterdir() if path.is_dir()):
+        files = sorted(folder.glob("*.yaml"))
+        parts += [f"## `{folder.name}=…` {{#{folder.name}}}"] if files else []
+        for path in files:
+            text = path.read_text()
+            parts += [f"### `{folder.name}={path.stem}`", " ".join(heading(text))]
+            parents = re.findall(r"^ {2}- (\w+)\s*$", text.partition("defaults:")[2], re.M)
+            if parents := [parent for parent in parents if parent != "_self_"]:
+                parts.append(f"As {', '.join(f'`{parent}`' for parent in parents)}, and:")
+            parts.append(keys_table(path))
+    return "\n\n".join(parts)
+
+
+def keys_table(path: Path) -> str:
+    """The keys of a file."""
+    rows = [
+        f"| `{key.name}` | {cell(key.value)} | {type_of(key, path)} | {key.comment.replace('|', chr(92) + '|')} |"
+        for key in read_keys(path.read_text())
+        if (key.value or key.comment) and not re.search(r"^hydra\b|_partial_$", key.name)
+    ]
+    return "| key | default | type | |\n|---|---|---|---|\n" + "\n".join(rows) if rows else ""
 
 
 def cell(value: str) -> str:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Error of panoramas near the edges of what is seen, and what no interpolation could take off it: a table of the guide.
 
-Run from the root of the repository: ``python docs/edges.py``, half a minute; ``python docs/edges.py 512 room,floating``
+Run from the root of the repository: ``python docs/edges.py``, two minutes; ``python docs/edges.py 512 room,floating``
 for images of 512 x 512 pixels and some kinds of scenes.
 """
 
@@ -24,6 +24,12 @@ from sphericalvision.sweep import index_from_inverse_depth
 KINDS = "room,floating,hall,outdoors,patchwork,rough,glazed,ruins"
 SEED = 2_900_000
 HEIGHT, NUM_HYPOTHESES, MIN_DEPTH = 640, 16, 0.55
+NETWORKS = (
+    ("refinedsweepnet", 6),
+    ("refinedsweepnet", 7),
+    ("refinedsweepnet", 8),
+    ("refinedsweepnet-fine", 7),
+)
 NEAR = 4
 """Pixels from an edge, at which neighbouring pixels differ by more than one hypothesis."""
 
@@ -44,8 +50,8 @@ def table(pixels: int = 1024, kinds: str = KINDS) -> str:
     """The lines of the table, as Markdown: means over one held-out scene of each kind, in hypotheses."""
     rig = ring_rig(4, image_size=(pixels, pixels))
     predictors = {
-        name: Predictor(rig, name, min_depth=MIN_DEPTH)
-        for name in ("refinedsweepnet", "refinedsweepnet-fine")
+        f"`{name}`, level {level}": Predictor(rig, name, level=level, min_depth=MIN_DEPTH)
+        for name, level in NETWORKS
     }
     rays = Equirectangular(HEIGHT, 2 * HEIGHT).directions.flatten(0, 1)
     errors = defaultdict(list)
@@ -61,7 +67,7 @@ def table(pixels: int = 1024, kinds: str = KINDS) -> str:
                 *truth.shape, 3
             )
             for row, off in (
-                (f"`{name}`", (index_of(panorama.depth.reciprocal()) - truth).abs()),
+                (name, (index_of(panorama.depth.reciprocal()) - truth).abs()),
                 ("the best of the three vertices around", (corners - truth[..., None]).abs().amin(-1)),
             ):
                 errors[name, row].append(

@@ -23,10 +23,14 @@ from sphericalvision.models.hexunet import HexResidualBlock
 from sphericalvision.models.logit_fusion import FusedLogits, two_modes
 from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth
 
-__all__ = ["CandidateRefinement", "Candidates", "RefinedIndex", "candidates_of", "with_sky"]
+__all__ = ["CandidateRefinement", "Candidates", "RefinedIndex", "candidates_of", "finer_logits", "with_sky"]
 
 RARE = -4.0
 """Logit of the sky before training."""
+PLAUSIBLE = 0.02
+"""Weight from which a candidate that was not chosen is the second best answer."""
+SHARPENING = 2.0
+"""By how much a logit falls with each hypothesis of distance from a refined index, up to two of them."""
 
 
 class Candidates(NamedTuple):
@@ -54,12 +58,14 @@ class RefinedIndex(NamedTuple):
         confidence: ``(B, V)`` logit of 1 less the expected error, which counts from none to two hypotheses.
         sky: ``(B, V)`` logit of there being nothing up to infinity.
         seen: ``(B, V)`` whether two cameras see the point.
+        second: ``(B, V)`` the best of the candidates that are a hypothesis or more from the index.
     """
 
     index: Float[Tensor, "B V"]  # type: ignore[assignment]
     confidence: Float[Tensor, "B V"]
     sky: Float[Tensor, "B V"]
     seen: Bool[Tensor, "B V"]
+    second: Float[Tensor, "B V"]
 
 
 class CandidateRefinement(nn.Module):
@@ -67,6 +73,8 @@ class CandidateRefinement(nn.Module):
 
     At an edge a mean of depths is no depth of anything; the two sides are. Which of them a vertex belongs to the
     cameras tell, whose colours agree at one and not at the other. Training begins with the mean.
+
+    The step from one level to the next is the same at all levels, and may be repeated with the same weights.
 
     Args:
         state: channels of ``FusedLogits``.
@@ -94,7 +102,7 @@ class CandidateRefinement(nn.Module):
         state: Float[Tensor, "B S V_coarse"],
         num_hypotheses: int,
     ) -> RefinedIndex:
-        """Return index, confidence, sky and what is seen, ``(B, V)``.
+        """Return index, confidence, sky, what is seen and the second best index, ``(B, V)``.
 
         Args:
             candidates: of ``candidates_of``.
@@ -122,11 +130,36 @@ class CandidateRefinement(nn.Module):
         weights = scores.softmax(1)
         chosen = ((weights * index).sum(1) + correction).clamp(0, num_hypotheses - 1)
         seen = cameras.gather(1, weights.max(1, keepdim=True).indices).squeeze(1) >= 2
-        return RefinedIndex(chosen, confidence, sky, seen)
+        with torch.no_grad():
+            others = weights.masked_fill((index - chosen[:, None]).abs() < 1, -1.0)
+            weight, place = others.max(1, keepdim=True)
+            second = torch.where(weight > PLAUSIBLE, index.gather(1, place), index[:, 3:]).squeeze(1)
+        return RefinedIndex(chosen, confidence, sky, seen, second)
 
 
-def candidates_of(fused: FusedLogits) -> Candidates:
+def finer_logits(fused: FusedLogits, index: Float[Tensor, "B V_fine"]) -> FusedLogits:
+    """Return logits and state on the next finer icosphere, where an index was chosen, which is the likelier for it.
+
+    Examples:
+        >>> fused = FusedLogits(torch.zeros(1, 31, 42), torch.zeros(1, 2, 42))
+        >>> finer = finer_logits(fused, torch.full((1, 162), 4.0))
+        >>> finer.logits.argmax(1).unique(), finer.state.shape
+        (tensor([8]), torch.Size([1, 2, 162]))
+    """
+    logits = icosphere_upsample(fused.logits)
+    positions = torch.arange(logits.shape[1], device=logits.device)[:, None] / 2
+    distance = (positions - index.detach()[:, None]).abs().clamp(max=2)
+    return FusedLogits(logits.log_softmax(1) - SHARPENING * distance, icosphere_upsample(fused.state))
+
+
+def candidates_of(
+    fused: FusedLogits, modes: tuple[Float[Tensor, "B V_coarse"], Float[Tensor, "B V_coarse"]] | None = None
+) -> Candidates:
     """Return what the vertices of the next finer icosphere choose from.
+
+    Args:
+        fused: logits of the coarser one.
+        modes: ``(B, V_coarse)`` best and second best index of each of its vertices; those of the logits when not given.
 
     Examples:
         >>> logits = torch.zeros(1, 31, 42)
@@ -136,7 +169,7 @@ def candidates_of(fused: FusedLogits) -> Candidates:
         (torch.Size([1, 4, 162]), [4.0, 4.0, 4.0])
     """
     logits = fused.logits
-    best, second = two_modes(logits)
+    best, second = two_modes(logits) if modes is None else modes
     level = level_from_num_vertices(logits.shape[-1])
     one, other = icosphere_vertex_parents(level + 1, logits.device).unbind(1)
     around = best[:, _ring_around(level, logits.device)]

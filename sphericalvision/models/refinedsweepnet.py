@@ -19,6 +19,7 @@ from sphericalvision.models.candidate_refinement import (
     CandidateRefinement,
     RefinedIndex,
     candidates_of,
+    finer_logits,
     with_sky,
 )
 from sphericalvision.models.depth_network import DepthNetwork
@@ -33,9 +34,9 @@ from sphericalvision.sweep import (
     semi_global_tables,
 )
 from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth, appearance_at_depth
-from sphericalvision.sweep.ring_mean import ids_of_coarser_level
+from sphericalvision.sweep.ring_mean import coarser_images, ids_of_coarser_level
 from sphericalvision.sweep.semi_global import SemiGlobalTables
-from sphericalvision.sweep.visibility import check_seen
+from sphericalvision.sweep.visibility import check_seen, seen_in_view
 
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
@@ -68,15 +69,18 @@ class RefinedTables(NamedTuple):
         sweep: of the semi-global sweep.
         prior: of the learned prior's sweep.
         offsets: ``([B,] n, 3)`` from each camera to the rig's centre, metres.
+        seen: ``([B,] n, V_image)`` what fields of view and masks leave of the images.
     """
 
     sweep: SemiGlobalTables
     prior: SweepTables
     offsets: Float[Tensor, "*batch n 3"]
+    seen: Bool[Tensor, "*batch n V_image"]
 
     def to(self, device: torch.device | str) -> RefinedTables:
         """Return the tables on another device."""
-        return RefinedTables(self.sweep.to(device), self.prior.to(device), self.offsets.to(device))
+        parts = (self.sweep, self.prior, self.offsets, self.seen)
+        return RefinedTables(*(part.to(device) for part in parts))  # type: ignore[arg-type]
 
 
 class LearnedTables(NamedTuple):
@@ -94,15 +98,19 @@ class LearnedTables(NamedTuple):
 class RefinedSweepNet(DepthNetwork):
     """Depth of any rig at the level of its images: a semi-global sweep and a learned prior, fused and refined.
 
-    ==========  ================  ===============================================================
+    ==========  ==========================  ===============================================================
 
-    stage       level             what it does
-    ==========  ================  ===============================================================
+    stage       level                       what it does
+    ==========  ==========================  ===============================================================
 
-    clues       level - 1         costs of ``semi_global_costs``; logits of an ``IcoSweepNet``, the prior
-    fusion      level - 1         both added as logits, with gates and a residual: ``LogitFusion``
-    refinement  level             a choice between the depths around each vertex: ``CandidateRefinement``
-    ==========  ================  ===============================================================
+    clues       coarse_level                costs of ``semi_global_costs``; logits of an ``IcoSweepNet``, the prior
+    fusion      coarse_level                both added as logits, with gates and a residual: ``LogitFusion``
+    refinement  coarse_level + 1 to level   a choice between the depths around each vertex: ``CandidateRefinement``
+    ==========  ==========================  ===============================================================
+
+    Clues and fusion see the images averaged down to ``coarse_level + 1``; each step of the refinement sees them at its
+    own level. All steps have the same weights, so ``level`` may be raised after training: that costs steps, but no
+    finer sweep.
 
 
     The sweep is accurate where there is texture, and the prior knows what scenes look like where there is none. It
@@ -114,12 +122,13 @@ class RefinedSweepNet(DepthNetwork):
         min_depth: radius of the nearest hypothesis in metres.
         inner_hypotheses: hypotheses that the network works with, whatever N is.
         prior: hyper-parameters of the ``IcoSweepNet``; those of ``icosweepnet-small`` when not given.
-        widths: channels of the fusion's U-Net at each level, from ``level - 1`` on.
+        widths: channels of the fusion's U-Net at each level, from ``coarse_level`` on.
         blocks: residual blocks of the U-Net, one number or one a level.
         refining_blocks: residual blocks of the refinement.
+        coarse_level: of clues and fusion, at most ``level - 1``, which it is when not given.
 
     Raises:
-        ArgumentError: for no widths, or a level below their number.
+        ArgumentError: for no widths, or a level, or ``coarse_level + 1``, below their number.
 
     References:
         Komatsu et al. (2020), "360° depth estimation from multiple fisheye images with origami crown representation
@@ -134,7 +143,7 @@ class RefinedSweepNet(DepthNetwork):
     """
 
     min_depth_follows = "training"
-    fixed_by = ("level", "min_depth", "inner_hypotheses", "prior")
+    fixed_by = ("level", "min_depth", "inner_hypotheses", "prior", "coarse_level")
 
     def __init__(
         self,
@@ -146,6 +155,7 @@ class RefinedSweepNet(DepthNetwork):
         widths: Sequence[int] = (32, 48, 64, 96, 96),
         blocks: int | Sequence[int] = (1, 2, 2, 3, 3),
         refining_blocks: int = 2,
+        coarse_level: int | None = None,
     ) -> None:
         if not widths:
             raise ArgumentError("widths: expected the channels of one level or more, got none")
@@ -155,13 +165,18 @@ class RefinedSweepNet(DepthNetwork):
                 f"{len(widths)} icospheres, each a level coarser; take level={len(widths)}, another network such as "
                 "icosweepnet-small, or method=semi_global"
             )
+        if coarse_level is not None and check_level(coarse_level) + 1 < len(widths):
+            raise ArgumentError(
+                f"coarse_level: expected {len(widths) - 1} or more for {len(widths)} widths, got {coarse_level!r}"
+            )
         super().__init__(num_hypotheses, min_depth, num_cameras=2, any_cameras=True)
+        self.coarse_level = level - 1 if coarse_level is None else min(coarse_level, level - 1)
         self.level, self.grid, self.inner_hypotheses = level, Icosphere(level), inner_hypotheses
-        scale = {"level": level, "num_hypotheses": inner_hypotheses, "min_depth": min_depth}
+        scale = {"level": self.coarse_level + 1, "num_hypotheses": inner_hypotheses, "min_depth": min_depth}
         self.prior = IcoSweepNet(**{**(PRIOR if prior is None else prior), **scale})
         self.fusion = LogitFusion(inner_hypotheses, tuple(widths), STATE, blocks)
         self.refinement = CandidateRefinement(STATE, blocks=refining_blocks)
-        self.register_buffer("up", -icosphere_vertices(level - 1)[:, 1], persistent=False)
+        self.register_buffer("up", -icosphere_vertices(self.coarse_level)[:, 1], persistent=False)
 
     @classmethod
     def around(cls, prior: IcoSweepNet, train_prior: bool = False, **hyperparameters: Any) -> Self:
@@ -195,8 +210,9 @@ class RefinedSweepNet(DepthNetwork):
     def tables(self, rig: CameraRig) -> RefinedTables:
         """Return where each camera sees every point that is tried, to be passed in place of the rig."""
         rig = rig.to(self.device)
-        sweep = semi_global_tables(rig, self.inner_hypotheses, self.min_depth, self.level)
-        return RefinedTables(sweep, self.prior.tables(rig), _offsets(rig))
+        sweep = semi_global_tables(rig, self.inner_hypotheses, self.min_depth, self.coarse_level + 1)
+        seen = sweep.seen if self.level == self.coarse_level + 1 else seen_in_view(rig, self.level)
+        return RefinedTables(sweep, self.prior.tables(rig), _offsets(rig), seen.to(sweep.seen.device))
 
     def training_tables(self, rig: CameraRig, fixed: bool = False) -> RefinedTables | LearnedTables:
         """Return ``tables``, or with ``fixed`` inputs what the parts that learn need of a rig."""
@@ -217,14 +233,26 @@ class RefinedSweepNet(DepthNetwork):
         """
         self.check_images(images, seen)
         tables = rig if isinstance(rig, RefinedTables) else self.tables(rig)
-        seen = check_seen(tables.sweep.seen if seen is None else seen, images)
-        clues = self.clues(images, tables, seen)
-        fused = self.fuse(clues, images, seen, tables.offsets)
-        index, confidence, sky, seen_by_two = self.refine(fused, images, seen, tables.offsets)
+        views = self.views(images, tables.seen if seen is None else seen)
+        coarse, coarse_seen = views[0]
+        clues = self.clues(coarse, tables, coarse_seen)
+        fused = self.fuse(clues, coarse, coarse_seen, tables.offsets)
+        index, confidence, sky, seen_by_two, _ = self.refine(fused, views, tables.offsets)
         # Nothing there: as far as can be. What is there is not: an index of nearly 0 is a depth of kilometres.
         index = index.clamp(min=FARTHEST).masked_fill(sky >= 0, 0.0)
         scale = (self.num_hypotheses - 1) / (self.inner_hypotheses - 1)
         return DepthEstimate(index * scale, confidence.sigmoid().masked_fill(~seen_by_two, 0.0), seen_by_two)
+
+    def views(
+        self,
+        images: Float[Tensor, "B n 3 V_image"],
+        seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"],
+    ) -> list[tuple[Tensor, Tensor]]:
+        """Return images and what of them was seen at each level from ``coarse_level + 1`` to ``level``."""
+        views = [(images, check_seen(seen, images))]
+        for _ in range(self.coarse_level + 1, self.level):
+            views.insert(0, coarser_images(*views[0]))
+        return views
 
     def clues(
         self,
@@ -275,14 +303,26 @@ class RefinedSweepNet(DepthNetwork):
     def refine(
         self,
         fused: FusedLogits,
-        images: Float[Tensor, "B n 3 V_image"],
-        seen: Bool[Tensor, "B n V_image"],
+        views: Sequence[tuple[Tensor, Tensor]],
         offsets: Float[Tensor, "*batch n 3"],
     ) -> RefinedIndex:
-        """Return the answer at the level of the images, in inner hypotheses."""
-        candidates = candidates_of(fused)
-        appearance = self._appearance(candidates.index, images, seen, offsets)
-        return self.refinement(candidates, appearance, fused.state, self.inner_hypotheses)  # type: ignore[no-any-return]
+        """Return the answer at the level of the images, in inner hypotheses.
+
+        Args:
+            fused: of ``fuse``.
+            views: of the method of that name, a step each.
+            offsets: of the tables.
+        """
+        modes = None
+        for number, (images, seen) in enumerate(views):
+            candidates = candidates_of(fused, modes)
+            appearance = self._appearance(candidates.index, images, seen, offsets)
+            refined: RefinedIndex = self.refinement(
+                candidates, appearance, fused.state, self.inner_hypotheses
+            )
+            if number + 1 < len(views):
+                fused, modes = finer_logits(fused, refined.index), (refined.index, refined.second)
+        return refined
 
     def _appearance(self, index: Tensor, images: Tensor, seen: Tensor, offsets: Tensor) -> AppearanceAtDepth:
         """What cameras see at indices ``(B, K, V)``."""
@@ -299,7 +339,7 @@ class RefinedSweepNet(DepthNetwork):
         """Return the clues in a form to be kept, a byte a number; without those of a prior that learns."""
         tables = rig if isinstance(rig, RefinedTables) else self.tables(rig)
         with torch.no_grad():
-            seen = check_seen(tables.sweep.seen if seen is None else seen, images)
+            images, seen = self.views(images, tables.seen if seen is None else seen)[0]
             cost, best, mean, cameras = self._geometry(images, tables.sweep, seen)
             fixed = {
                 "cost": _bytes(cost / COST_RANGE),
@@ -329,26 +369,28 @@ class RefinedSweepNet(DepthNetwork):
         """
         tables = rig if isinstance(rig, tuple) else self.training_tables(rig, bool(fixed))
         if isinstance(tables, RefinedTables):
-            seen = check_seen(tables.sweep.seen if seen is None else seen, images)
-            clues = self.clues(images, tables, seen)
+            views = self.views(images, tables.seen if seen is None else seen)
+            coarse, coarse_seen = views[0]
+            clues = self.clues(coarse, tables, coarse_seen)
         elif fixed and seen is not None:
-            seen = check_seen(seen, images)
-            prior = fixed["prior"] if tables.prior is None else self._prior(images, tables.prior, seen)
+            views = self.views(images, seen)
+            coarse, coarse_seen = views[0]
+            prior = fixed["prior"] if tables.prior is None else self._prior(coarse, tables.prior, coarse_seen)
             clues = _from_bytes(fixed, prior)
         else:
             raise ArgumentError(
                 "seen, fixed: expected both where training_tables(rig, fixed=True) stand for the rig, got "
                 f"{'no seen' if fixed else 'no fixed'}; pass what fixed_inputs returned and what it was given"
             )
-        fused = self.fuse(clues, images, seen, tables.offsets)
-        refined = self.refine(fused, images, seen, tables.offsets)
+        fused = self.fuse(clues, coarse, coarse_seen, tables.offsets)
+        refined = self.refine(fused, views, tables.offsets)
         scale = (self.inner_hypotheses - 1) / (self.num_hypotheses - 1)
         true = (target * scale).clamp(0, self.inner_hypotheses - 1)
-        ids = ids_of_coarser_level(self.level, self.level - 1, true.device)
-        coarse, coarse_valid = true[:, ids], valid[:, ids]
+        ids = ids_of_coarser_level(self.level, self.coarse_level, true.device)
+        coarse_true, coarse_valid = true[:, ids], valid[:, ids]
         coarse_weights = torch.where(clues.cameras.amax(1) >= 2, 1.0, 0.25) * coarse_valid
         weights = torch.where(refined.seen, 1.0, 0.25) * valid
-        entropy = _cross_entropy(fused.logits, coarse)
+        entropy = _cross_entropy(fused.logits, coarse_true)
         sure = 1 - (refined.index.detach() - true).abs().clamp(max=DOUBTFUL) / DOUBTFUL
         doubt = F.binary_cross_entropy_with_logits(refined.confidence, sure, reduction="none")
         sky = (target <= 0) & valid
@@ -357,7 +399,7 @@ class RefinedSweepNet(DepthNetwork):
         doubt += sky_loss * torch.where(sky, rarity, 1.0)
         return (
             loss(refined.index, true, valid, weights=weights)
-            + 0.4 * loss(two_modes(fused.logits)[0], coarse, coarse_valid, weights=coarse_weights)
+            + 0.4 * loss(two_modes(fused.logits)[0], coarse_true, coarse_valid, weights=coarse_weights)
             + 0.05 * mean_of_samples(entropy, coarse_weights)
             + 0.1 * mean_of_samples(doubt, valid)
         )

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sphericalvision.core import constant_table
@@ -12,7 +12,7 @@ from sphericalvision.geometry.lookup import weighted_rows
 from sphericalvision.icosphere import icosphere_neighbors, level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.topology import coarse_vertex_ids
 
-__all__ = ["ids_of_coarser_level", "ring_mean"]
+__all__ = ["coarser_images", "ids_of_coarser_level", "ring_mean"]
 
 
 def ring_mean(values: Float[Tensor, " V *rest"], level: int | None = None) -> Float[Tensor, " V_level *rest"]:
@@ -36,6 +36,26 @@ def ring_mean(values: Float[Tensor, " V *rest"], level: int | None = None) -> Fl
     own_level = level_from_num_vertices(len(values))
     ids, weights = _rings(own_level, own_level if level is None else level, values.device)
     return weighted_rows(values.flatten(1), ids, weights).view(len(ids), *values.shape[1:])
+
+
+def coarser_images(
+    images: Float[Tensor, "B n C V"], seen: Bool[Tensor, "B n V"]
+) -> tuple[Float[Tensor, "B n C V_coarse"], Bool[Tensor, "B n V_coarse"]]:
+    """Return images on the next coarser icosphere, means of what was seen around its vertices, and what was seen there.
+
+    Examples:
+        >>> images, seen = coarser_images(torch.ones(1, 2, 3, 162), torch.ones(1, 2, 162, dtype=torch.bool))
+        >>> images.shape, images.unique(), seen.all()
+        (torch.Size([1, 2, 3, 42]), tensor([1.]), tensor(True))
+    """
+    level = level_from_num_vertices(images.shape[-1])
+    shown = seen[:, :, None].to(images)
+    means = ring_mean(torch.cat((images * shown, shown), 2).permute(3, 0, 1, 2), level - 1).permute(
+        1, 2, 3, 0
+    )
+    coarse_seen = seen[..., ids_of_coarser_level(level, level - 1, images.device)]
+    values = means[:, :, :-1] / means[:, :, -1:].clamp(min=1e-6)
+    return values * coarse_seen[:, :, None], coarse_seen
 
 
 @constant_table

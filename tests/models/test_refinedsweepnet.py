@@ -10,12 +10,13 @@ import torch
 from torch import nn
 
 from sphericalvision.cameras import ring_rig
+from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere
 from sphericalvision.data.augmentation.fivefold import rotate_fivefold
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.icosphere.hierarchy import icosphere_vertex_parents
 from sphericalvision.losses import depth_index_huber
-from sphericalvision.models import IcoSweepNet, RefinedSweepNet, save_weights
+from sphericalvision.models import IcoSweepNet, RefinedSweepNet, pretrained, save_weights
 from sphericalvision.models.candidate_refinement import RARE, candidates_of
 from sphericalvision.models.hexunet import HexUNet
 from sphericalvision.models.logit_fusion import FusedLogits, two_modes
@@ -97,6 +98,44 @@ def test_turns_by_72_degrees_turn_the_answer(net, frame):
     difference = (turned.index - rotate_fivefold(expected.index, 1)).abs()
     assert difference[:, ordered].max() < 1e-3
     assert difference.max() < 0.5
+
+
+def test_more_levels_are_more_steps_with_the_same_weights(net, frame):
+    """Images that were averaged give the coarser network's sweep; what a step answers is what the next begins with."""
+    images, rig, seen, _ = frame
+    coarse = net.with_changes(level=LEVEL - 1, widths=None, coarse_level=2)
+    fine = net.with_changes(coarse_level=2)
+    with torch.inference_mode():
+        views = fine.views(images, seen)
+        assert [view.shape[-1] for view, _ in views] == [642, 2562]
+        expected = coarse.predict(*views[0][:1], rig, views[0][1])
+        answer = fine.predict(images, rig, seen)
+    parents = icosphere_vertex_parents(LEVEL, torch.device("cpu"))
+    # An untrained step answers with the mean of both parents.
+    between = expected.index[:, parents].mean(-1)
+    assert (answer.index - between).abs().median() < 0.3
+    assert answer.seen.shape == (1, 2562)
+
+
+def test_shipped_weights_repeat_their_step_at_finer_levels():
+    """And sweep no finer: their coarse stages stay at level 5, or below the images where these are coarser."""
+    coarse = [pretrained("refinedsweepnet").with_changes(level=level).coarse_level for level in (5, 6, 7, 8)]
+    assert coarse == [4, 5, 5, 5]
+
+
+def test_learns_in_all_steps(net, frame):
+    images, rig, seen, true = frame
+    finer = net.with_changes(coarse_level=2)
+    valid = true <= 15
+    fixed = finer.fixed_inputs(images, rig, seen)
+    assert fixed["cost"].shape[-1] == 162
+    arguments = (images, rig, seen, true.clamp(max=15), valid, depth_index_huber)
+    computed, kept = finer.training_loss(*arguments), finer.training_loss(*arguments, fixed=fixed)
+    assert abs(computed - kept) < 0.02 * computed
+    computed.backward()
+    assert finer.refinement.exit.bias.grad.abs().sum() > 0
+    with pytest.raises(ArgumentError, match=r"coarse_level: expected 2 or more for 3 widths, got 1"):
+        net.with_changes(coarse_level=1)
 
 
 def test_learns_and_leaves_the_prior_alone(net, frame):

@@ -264,10 +264,12 @@ def test_shipped_weights_load() -> None:
 
 @pytest.mark.parametrize(("name", "level"), [("refinedsweepnet-fast", 5), ("refinedsweepnet-fine", 7)])
 def test_networks_of_other_levels_are_the_default_one_a_level_coarser_or_finer(name: str, level: int) -> None:
-    assert pretrained(name).hyperparameters == {**pretrained().hyperparameters, "level": level}
+    form = {**pretrained().hyperparameters, "level": level, "coarse_level": level - 1}
+    net = pretrained(name)
+    assert {**net.hyperparameters, "coarse_level": net.coarse_level} == form
 
 
-@pytest.mark.parametrize(("wanted", "taken"), [(None, 6), (4, 5), (5, 5), (6, 6), (7, 7), (8, 7)])
+@pytest.mark.parametrize(("wanted", "taken"), [(None, 6), (4, 5), (5, 5), (6, 6), (7, 7), (8, 6), (9, 6)])
 def test_without_a_name_the_weights_for_the_level_are_read(wanted: int | None, taken: int) -> None:
     net, names = (
         read_network(level=wanted),

@@ -225,7 +225,7 @@ def test_keys_of_training_are_refused_where_nothing_is_trained(
 
 def test_a_command_has_its_own_presets(failing: Callable[..., str]) -> None:
     assert "known are benchmark, paper, random_tilts, small, tiny" in failing("study", "preset=fast")
-    assert "known are fast, fine, live" in failing("predict", RIG, IMAGES, "preset=paper")
+    assert "known are fast, fine, finest, live" in failing("predict", RIG, IMAGES, "preset=paper")
 
 
 @pytest.mark.parametrize("word", ["seeds=[1]", "angles_deg=[7]", "data=omnihouse", "models.omnimvs=null"])

@@ -24,8 +24,8 @@ __all__ = ["read_network", "weights_for"]
 REFERENCE_SUFFIXES = (".pth", ".pt", ".tar")
 """Of checkpoints in the authors' format."""
 
-BY_LEVEL = {5: "refinedsweepnet-fast", 6: "refinedsweepnet", 7: "refinedsweepnet-fine"}
-"""Weights that ship, by the level of the images that they are trained for."""
+BY_LEVEL = {5: "refinedsweepnet-fast", 6: "refinedsweepnet", 7: "refinedsweepnet-fine", 8: "refinedsweepnet"}
+"""Weights that ship, by the level of the images that they are best for; those for level 8 repeat a step up to it."""
 
 
 def weights_for(level: int | None = None) -> str:

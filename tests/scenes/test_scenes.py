@@ -25,7 +25,13 @@ from sphericalvision.scenes.rendering.primitives import Part, pack
 from sphericalvision.scenes.rendering.render import _spread, _stratified
 from sphericalvision.scenes.rendering.scene import Lamp, Material, Scene, pack_lamps, pack_materials
 from sphericalvision.scenes.rendering.shading import SurfaceTable, _albedo
-from sphericalvision.scenes.rendering.textures import PATTERNS, PHOTOGRAPHS, pattern, photograph, texture_bank
+from sphericalvision.scenes.rendering.textures import (
+    ALL_PATTERNS,
+    PHOTOGRAPHS,
+    pattern,
+    photograph,
+    texture_bank,
+)
 
 ORIGIN = torch.zeros(3)
 DOWN = torch.tensor([0.0, 1.0, 0.0])
@@ -227,13 +233,38 @@ def test_unknown_textures_are_named() -> None:
         photograph("eagle.png")
 
 
-@pytest.mark.parametrize("name", PATTERNS)
+@pytest.mark.parametrize("name", ALL_PATTERNS)
 def test_patterns_vary_within_the_unit_interval(name: str, generator: torch.Generator) -> None:
     image = pattern(name, generator, size=64)
     assert image.shape == (3, 64, 64)
     assert image.min() >= 0
     assert image.max() <= 1
     assert image.std() > 0.03
+
+
+PATTERN_OF_A_SEED = {
+    "noise": (0.4516, 0.0221, 0.0396),
+    "checks": (0.5024, 0.1060, 0.1053),
+    "stripes": (0.6274, 0.0187, 0.1300),
+    "bricks": (0.5376, 0.1619, 0.0852),
+    "wood": (0.5347, 0.0178, 0.0970),
+    "tiles": (0.6088, 0.0694, 0.0714),
+    "mosaic": (0.4339, 0.0555, 0.0538),
+    "dots": (0.4144, 0.0711, 0.0703),
+    "marble": (0.4003, 0.1265, 0.1287),
+    "weave": (0.5767, 0.0892, 0.0891),
+    "spectrum": (0.3978, 0.0229, 0.0234),
+    "cells": (0.3861, 0.1444, 0.1375),
+    "specks": (0.9866, 0.0230, 0.0216),
+}
+"""Pattern -> of one seed the mean, and the mean steps from pixel to pixel down and across."""
+
+
+@pytest.mark.parametrize("name", ALL_PATTERNS)
+def test_patterns_stay_what_scenes_of_before_were_painted_with(name: str) -> None:
+    image = pattern(name, torch.Generator().manual_seed(1), size=64)
+    steps = (image.diff(dim=axis).abs().mean().item() for axis in (1, 2))
+    assert (image.mean().item(), *steps) == pytest.approx(PATTERN_OF_A_SEED[name], abs=2e-4)
 
 
 def test_photographs_ship_with_scikit_image() -> None:

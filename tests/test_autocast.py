@@ -91,6 +91,12 @@ NAMES: dict[str, Callable[[], Any]] = {
     "field_of_view": lambda: cameras.field_of_view(lens()),
     "overlap": lambda: cameras.overlap(torch.arange(162) % 4, Icosphere(2).solid_angles),
     "convert": lambda: cameras.convert(lens(), "double_sphere"),
+    "compare_cameras": lambda: cameras.compare_cameras(
+        lens(), lens().with_intrinsics(focal_length=torch.tensor([9.87, 9.76]))
+    ),
+    "rectified_pairs": lambda: [
+        (pair.baseline, *pair.rectify(images())) for pair in cameras.rectified_pairs(turned())
+    ],
     "fit_inverse_polynomial": lambda: cameras.fit_inverse_polynomial(
         cameras.convert(lens(), "ocam").camera  # type: ignore[arg-type]
     ),
@@ -171,7 +177,7 @@ WITHOUT_NUMBERS = {
     CameraRig: {"names", "batch_shape"},
     Trajectory: set[str](),
 }
-CLASSES = {"Camera", "Projection", "Unprojection", "register_camera", "calibration"}
+CLASSES = {"Camera", "RectifiedPair", "Projection", "Unprojection", "register_camera", "calibration"}
 
 
 def values(result: Any) -> Iterable[Any]:

@@ -339,6 +339,7 @@ EXCEPTIONS: dict[str, str] = {
     "truth_from_points": "searches neighbours by scipy, on the CPU",
     **dict.fromkeys(("field_of_view", "overlap", "level_from_num_vertices", "num_icosphere_vertices"), NUMBERS),
     **dict.fromkeys(("AprilGrid", "Charuco", "Checkerboard", "read_board"), "looks at images by OpenCV"),
+    **dict.fromkeys(("compare_cameras", "rectified_pairs", "RectifiedPair"), NUMBERS),
     **dict.fromkeys(("calibrate_camera", "calibrate_rig", "convert", "fit_inverse_polynomial"), FIT),
     **dict.fromkeys(("refine", "refine_rig"), FIT),
     **dict.fromkeys(("Trajectory", "read_trajectory"), "features and files"),

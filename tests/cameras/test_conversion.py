@@ -323,7 +323,7 @@ def test_dtype_follows_the_camera() -> None:
 
 REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "unknown class": (lambda: convert(wide_lens(), to=Camera), "PinholeCamera"),
-    "unknown name": (lambda: convert(wide_lens(), to="kb4"), "kannala_brandt"),
+    "unknown name": (lambda: convert(wide_lens(), to="kanala_brandt"), "kannala_brandt"),
     "panorama": (lambda: convert(wide_lens(), to=EquirectangularCamera), "reproject"),
     "from a panorama": (lambda: convert(EquirectangularCamera((32, 64)), to="ocam"), "remap"),
     "coefficients": (lambda: convert(wide_lens(), to="brown_conrady", num_coefficients=6), "4, 5, 8, 12, 14"),

@@ -100,7 +100,7 @@ FAULTS = (
     ("inspect", "calibration=none.yaml", "none.yaml: no such file or folder"),
     ("convert", f"{RIG} output=.", "output: . is a folder"),
     ("convert", f"{RIG} to=pinhole fit_angle_deg=100", "fit_angle_deg: a PinholeCamera ends before 90"),
-    ("convert", f"{RIG} to=kb4", "'kannala_brandt'"),
+    ("convert", f"{RIG} to=kanala_brandt", "'kannala_brandt'"),
     ("convert", f"{RIG} camera=cam1 format=docx output=a", "colmap"),
     ("convert", "", "calibration=..."),
     ("render", "output=x kind=garden", "kind: expected one of"),

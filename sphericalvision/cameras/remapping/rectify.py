@@ -95,6 +95,7 @@ class RectifiedPair:
         """Dimension of images ``(*, h, w)`` along which disparity is: −1, of equirectangular pairs −2."""
         return -2 if self.kind == "equirectangular" else -1
 
+    @full_precision
     def rectify(
         self, images: Mapping[str, Shaped[Tensor, "*#b c _ _"]] | Sequence[Shaped[Tensor, "*#b c _ _"]]
     ) -> tuple[Shaped[Tensor, "*b c h w"], Shaped[Tensor, "*b c h w"]]:

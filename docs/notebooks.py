@@ -20,8 +20,10 @@ SHOWN = """import cv2
 from IPython.display import Image, display
 
 
-def picture(pixels):
-    return Image(cv2.imencode(".png", pixels[..., ::-1])[1].tobytes())
+def html(picture, alt):
+    if not hasattr(picture, "shape"):
+        return picture  # a figure
+    return Image(cv2.imencode(".png", picture[..., ::-1])[1].tobytes(), alt=alt)
 
 
 """
@@ -42,7 +44,8 @@ def notebook(page: Path) -> Any:
     # Links to other pages lead nowhere from here: their words stay.
     text = re.sub(r"\[([^\]\n]*(?:\n[^\]\n]*)?)\]\((?!https?:)[^)\s]*\)", r"\1", text)
     text = text.replace("from shown import source\n", SOURCE)
-    text = text.replace("from shown import picture\n", SHOWN).replace("print(picture(", "display(picture(")
+    text = re.sub(r" *# markdown-exec: hide.*$", "", text, flags=re.M)
+    text = text.replace("from shown import html\n", SHOWN).replace("print(html(", "display(html(")
     made = jupytext.reads(text, fmt="md")
     made.metadata["kernelspec"] = {"display_name": "Python 3", "language": "python", "name": "python3"}
     return made

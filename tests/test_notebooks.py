@@ -36,7 +36,7 @@ def test_notebook_has_the_code_of_the_page(page: Path) -> None:
 def test_notebook_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = []
     display = ModuleType("IPython.display")
-    display.Image = lambda data: data  # type: ignore[attr-defined]
+    display.Image = lambda data, alt: data  # type: ignore[attr-defined]
     display.display = shown.append  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "IPython", ModuleType("IPython"))
     monkeypatch.setitem(sys.modules, "IPython.display", display)

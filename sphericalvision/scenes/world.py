@@ -43,7 +43,7 @@ __all__ = [
 ]
 
 #: Raised whenever the recipes or the renderer change what a seed looks like, so that old caches are not read.
-GENERATION = 2
+GENERATION = 3
 #: Scenes of this seed and above are kept for comparing methods: no training, validation or test of one uses them.
 HELD_OUT_SEED = 10_000_000
 #: Least depth, and free space around the rig, of scenes at their natural scale (metres).

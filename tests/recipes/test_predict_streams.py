@@ -272,6 +272,10 @@ def test_streams_of_one_file_are_the_cameras(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(streams, "find_spec", lambda name: None)
     with pytest.raises(ArgumentError, match=r"VID.mp4 holds several.*PyAV.*sphericalvision\[video\]"):
         open_source(str(tmp_path / "VID.mp4"), RIG)
+    views = np.concatenate([picture(0, camera) for camera in range(4)], 1)
+    write_streams(tmp_path / "views.mkv", [[views] * 2], "ffv1")
+    with pytest.warns(UserWarning, match=r"views.mkv: without PyAV nobody looks for a second video stream"):
+        open_source(str(tmp_path / "views.mkv"), RIG)
 
 
 def test_a_file_of_two_lenses_is_a_panorama_in_one_command(

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -40,6 +41,12 @@ def count_streams(file: Path) -> int:
             raise ArgumentError(
                 f"images: {file} {'may hold' if tracks is None else 'holds'} several video streams, which PyAV reads: "
                 "pip install 'sphericalvision[video]'"
+            )
+        if tracks is None:
+            warnings.warn(
+                f"{file}: without PyAV nobody looks for a second video stream, and the first is read "
+                "(pip install 'sphericalvision[video]')",
+                stacklevel=2,
             )
         return 1
     import av

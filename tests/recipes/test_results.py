@@ -55,6 +55,11 @@ def test_every_output_is_what_it_says(tmp_path: Path) -> None:
         "7_confidence.png",
         "7_points.ply",
         "7_points.glb",
+        "7_mesh.ply",
+        "7_mesh.glb",
+        "points3D.ply",  # these three of both folders of splat
+        "points3D.bin",
+        "transforms.json",
         "7_viewer.html",
         "7_depth.npz",
         "fused.ply",
@@ -74,6 +79,8 @@ def test_every_output_is_what_it_says(tmp_path: Path) -> None:
     np.testing.assert_allclose(normals, expected.normals, atol=1e-6)
     (upright,) = trimesh.load(tmp_path / "7_points.glb").geometry.values()
     np.testing.assert_allclose(upright.vertices, expected.points * torch.tensor([1, -1, -1]), atol=1e-6)
+    surface = trimesh.load(tmp_path / "7_mesh.ply")
+    np.testing.assert_allclose(np.linalg.norm(surface.vertices[surface.faces], axis=-1), 2.0, atol=1e-3)
     with np.load(tmp_path / "7_depth.npz") as arrays:
         np.testing.assert_allclose(arrays["depth_panorama"], 2.0, rtol=1e-4)
         np.testing.assert_allclose(arrays["depth"], 2.0, rtol=1e-4)
@@ -83,7 +90,7 @@ def test_every_output_is_what_it_says(tmp_path: Path) -> None:
 
 def test_unknown_outputs_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ArgumentError, match=r"outputs: expected one of .*'depth'"):
-        Outputs(tmp_path, Settings(["depth", "mesh"]))
+        Outputs(tmp_path, Settings(["depth", "voxels"]))
 
 
 def test_a_fused_cloud_says_which_frames_it_has_even_if_nobody_closed_it(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import wraps
+from importlib.util import find_spec
 from pathlib import Path
 from reprlib import Repr
 from typing import Any, ParamSpec, TypeVar
@@ -384,6 +385,25 @@ def in_one_graph(device: torch.device) -> bool:
     """
     way = way_of_kernels()
     return way == "graph" or (way != "reference" and (device.type != "cpu" or torch.compiler.is_compiling()))
+
+
+HAS_TRITON = find_spec("triton") is not None
+"""As with torch for CUDA on Linux."""
+
+
+def by_triton(*tensors: torch.Tensor) -> bool:
+    """Whether kernels in Triton compute what is made of tensors: on CUDA devices, where nobody asks for derivatives.
+
+    Compilers, and programs that leave this package, get operators of torch.
+
+    Examples:
+        >>> by_triton(torch.zeros(3))
+        False
+    """
+    if not (HAS_TRITON and tensors[0].is_cuda) or uses_reference_kernels() or torch.compiler.is_compiling():
+        return False
+    differentiated = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
+    return not differentiated and not torch._C._are_functorch_transforms_active()
 
 
 LARGEST_TABLE = 1 << 28

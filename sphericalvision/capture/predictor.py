@@ -270,8 +270,12 @@ class Predictor:
         return nullcontext() if room and self.device.type == "cpu" else self._lock
 
     def _on_device(self, images: Mapping[str, Any]) -> dict[str, Tensor]:
-        """Images in the order of the cameras; bytes travel as bytes."""
+        """Images in the order of the cameras; bytes travel as bytes, one image while the next one is made ready."""
         ordered = ordered_images(images, self.rig)
+        if (
+            self.device.type == "cuda"
+        ):  # from pinned memory, which torch keeps and takes again once it is read
+            ordered = {name: image.pin_memory() if image.is_cpu else image for name, image in ordered.items()}
         return {name: image.to(self.device, non_blocking=True) for name, image in ordered.items()}
 
     @contextmanager

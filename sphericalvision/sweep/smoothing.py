@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError, constant_table, in_one_graph
+from sphericalvision.core import ArgumentError, ShapeError, by_triton, constant_table, in_one_graph
 from sphericalvision.geometry.means_by_id import MeansById, mean_by_id, means_by_id
 from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.lines import icosphere_lines
@@ -73,12 +73,17 @@ def semi_global_smoothing(
         raise ShapeError(f"guide: expected shape {expected}, got {tuple(guide.shape)}")
     planes = cost.transpose(0, 1)  # (N, B, V): a step compares whole planes of all paths at once
     paths = smoothing_paths(level, lead, cost.device)
+    jumps = _jump_penalties(guide, paths, small_penalty, large_penalty, contrast)
+    if by_triton(cost, jumps) and cost.dtype == jumps.dtype == torch.float32:
+        from sphericalvision.sweep.smoothing_triton import path_costs_kernel  # Triton is not everywhere
+
+        arrived = path_costs_kernel(cost, paths.ids, jumps, small_penalty, paths.first)
+        return mean_by_id(arrived.flatten(2), paths.arrivals).transpose(0, 1)
     # A step more than there are, or planes lie multiples of 4096 bytes apart, where they take each other's cache lines.
     apart = torch.cat((paths.ids, paths.ids[:1]))
     *steps, _ = planes.index_select(2, apart.flatten()).unflatten(2, tuple(apart.shape)).unbind(2)
-    jumps = _jump_penalties(guide, paths, small_penalty, large_penalty, contrast)
     reached = [steps[0]]
-    for step, jump in zip(steps[1:], jumps, strict=True):
+    for step, jump in zip(steps[1:], jumps.unbind(), strict=True):
         reached.append(_extended(reached[-1], step, small_penalty, jump))
     results = reached[paths.first :]
     if in_one_graph(cost.device):
@@ -109,14 +114,14 @@ def _least(reached: Tensor, small_penalty: float, jump: Tensor) -> Tensor:
 
 def _jump_penalties(
     guide: Tensor | None, paths: SmoothingPaths, small_penalty: float, large_penalty: float, contrast: float
-) -> tuple[Tensor, ...]:
-    """P2 of each step, ``(1, P)``, or ``(B, P)`` of a guide ``(B, C, V)``; 0 up to where a path begins."""
+) -> Tensor:
+    """P2 of each step, ``(steps - 1, 1, P)``, or ``(steps - 1, B, P)`` of a guide; 0 up to where a path begins."""
     if guide is None:
-        return (paths.begun * large_penalty).unsqueeze(1).unbind()
+        return (paths.begun * large_penalty).unsqueeze(1)
     colors = guide.index_select(2, paths.ids.flatten()).unflatten(2, tuple(paths.ids.shape))
     change = (colors[:, :, 1:] - colors[:, :, :-1]).abs().mean(1)
     penalty = (large_penalty / (1 + change / contrast)).clamp(min=small_penalty)
-    return (penalty * paths.begun.to(penalty)).unbind(1)
+    return (penalty * paths.begun.to(penalty)).transpose(0, 1)
 
 
 class SmoothingPaths(NamedTuple):

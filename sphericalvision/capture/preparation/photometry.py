@@ -24,7 +24,7 @@ from sphericalvision.cameras.masks import resized_mask
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.remapping.lookup import image_edges, pixels_a_radian
 from sphericalvision.cameras.rig import CameraRig, check_images_of
-from sphericalvision.core import ArgumentError, in_one_graph
+from sphericalvision.core import ArgumentError, by_triton, in_one_graph
 from sphericalvision.geometry.directions import angle_from_axis
 from sphericalvision.geometry.lookup import ImageLookup
 from sphericalvision.icosphere import icosphere_vertices
@@ -35,6 +35,7 @@ __all__ = [
     "PhotometricCalibration",
     "averaged",
     "calibrate_photometry",
+    "median_of_known",
     "pixel_angles",
     "reduced_rig",
 ]
@@ -350,7 +351,7 @@ class _Points:
             whole = normal[:, 0] + hold * mean[:, None, None]
             unknown = solved(whole, target[:, 0])
             rest = self._rest(difference, unknown, to_all).abs().where(used, math.nan)
-            scale = (1.4826 * rest.flatten(1).nanmedian(1).values.nan_to_num(0.0)).clamp(min=0.01)
+            scale = (1.4826 * median_of_known(rest.flatten(1))).clamp(min=0.01)
         residual = scale.where(count > 0, 0.0)
         best = residual.argmin()[None]
         normal, target = self._normal(weights, difference, to_all, _PARTS)
@@ -406,6 +407,20 @@ class _Points:
         return flat.mT @ squares.flatten(2, 4), targets.flatten(2) @ flat
 
 
+def median_of_known(values: Float[Tensor, "rows number"]) -> Float[Tensor, " rows"]:
+    """Return the lower median of each row of values of 0 or more, of those that are no NaN; 0 where there is none.
+
+    Examples:
+        >>> median_of_known(torch.tensor([[3.0, math.nan, 1.0, 2.0], [math.nan] * 4]))
+        tensor([2., 0.])
+    """
+    if by_triton(values):
+        from sphericalvision.capture.preparation import light_triton  # Triton is not everywhere
+
+        return light_triton.nanmedian_kernel(values).nan_to_num(0.0).to(values.dtype)
+    return values.nanmedian(1).values.nan_to_num(0.0)
+
+
 def solved(matrix: Float[Tensor, "*b n n"], right: Float[Tensor, "*b n"]) -> Float[Tensor, "*b n"]:
     """Solve positive definite systems, on a device without a word to the host.
 
@@ -415,6 +430,11 @@ def solved(matrix: Float[Tensor, "*b n n"], right: Float[Tensor, "*b n"]) -> Flo
         >>> solved(torch.tensor([[2.0, 1.0], [1.0, 2.0]]), torch.tensor([3.0, 0.0]))
         tensor([ 2., -1.])
     """
+    if by_triton(matrix, right):
+        from sphericalvision.capture.preparation import light_triton  # Triton is not everywhere
+
+        if right.shape[-1] <= light_triton.LARGEST_SYSTEM:
+            return light_triton.elimination_kernel(matrix, right)
     if in_one_graph(matrix.device):
         return eliminated(matrix, right)
     return torch.linalg.solve(matrix, right)

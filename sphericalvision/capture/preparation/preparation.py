@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
-from importlib.util import find_spec
 from typing import NamedTuple
 
 import cv2
@@ -21,8 +20,13 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.capture.preparation.photometry import LightEstimate, Photometer, PhotometricCalibration
-from sphericalvision.core import ArgumentError, in_one_graph
+from sphericalvision.capture.preparation.photometry import (
+    LightEstimate,
+    Photometer,
+    PhotometricCalibration,
+    median_of_known,
+)
+from sphericalvision.core import ArgumentError, by_triton, in_one_graph
 
 __all__ = [
     "AS_IT_IS",
@@ -38,8 +42,6 @@ __all__ = [
     "noise_of",
 ]
 
-HAS_TRITON = find_spec("triton") is not None
-"""As with torch for CUDA on Linux."""
 LEAST_LIGHT = 0.05
 """Share of the light: cameras that differ by less are taken to be alike."""
 SURE = 2.0
@@ -319,7 +321,7 @@ def bilateral(image: Float[Tensor, "b c h w"], deviation: Float[Tensor, " b"]) -
     height, width = image.shape[-2:]
     mode = "reflect" if min(height, width) > radius else "replicate"
     steepness = (-0.5 / deviation.square()).where(deviation > 0, 0.0).to(image.dtype)
-    if image.is_cuda and HAS_TRITON and image.dtype == torch.float32 and mode == "reflect":
+    if by_triton(image) and image.dtype == torch.float32 and mode == "reflect":
         from sphericalvision.capture.preparation.bilateral_triton import (
             bilateral_kernel,  # Triton is not everywhere
         )
@@ -384,5 +386,5 @@ def _noise(image: Tensor, inside: Tensor | None) -> Tensor:
     shown = (values > DARKEST) & (values < BRIGHTEST)
     if inside is not None:
         shown &= inside[1 : height - 1 : step, 1:-1]
-    typical = second.abs().where(shown, math.nan).flatten(1).nanmedian(1).values.nan_to_num(0.0)
+    typical = median_of_known(second.abs().where(shown, math.nan).flatten(1))
     return typical.double() / (6 * 0.6745)  # by the differences' norm; of a Gaussian's median

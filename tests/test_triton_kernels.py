@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Kernels in Triton return what operators of torch do: in Triton's interpreter, which needs no GPU."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.processes import python
+
+MEDIANS = """
+import math, torch
+from sphericalvision.capture.preparation.light_triton import nanmedian_kernel
+
+values = torch.rand(4, 9001, generator=torch.Generator().manual_seed(0))
+values[0, ::3], values[1], values[2, :4000] = math.nan, math.nan, 0.0
+for rows in (values, 1e-3 * values[:, :7]):
+    torch.testing.assert_close(nanmedian_kernel(rows), rows.nanmedian(1).values, rtol=0, atol=0, equal_nan=True)
+"""
+SYSTEMS = """
+import torch
+from sphericalvision.capture.preparation.light_triton import elimination_kernel
+
+generator = torch.Generator().manual_seed(0)
+for number in (3, 20):
+    root = torch.randn(2, number, number, generator=generator, dtype=torch.float64)
+    matrix, right = root @ root.mT + torch.eye(number), torch.randn(2, number, generator=generator).double()
+    torch.testing.assert_close(elimination_kernel(matrix, right), torch.linalg.solve(matrix, right))
+"""
+PATHS = """
+import torch
+from sphericalvision.core import kernels
+from sphericalvision.geometry.means_by_id import mean_by_id
+from sphericalvision.sweep import semi_global_smoothing
+from sphericalvision.sweep.smoothing import _jump_penalties, smoothing_paths
+from sphericalvision.sweep.smoothing_triton import path_costs_kernel
+
+generator = torch.Generator().manual_seed(0)
+cost, guide = torch.rand(2, 5, 42, generator=generator), torch.rand(2, 3, 42, generator=generator)
+paths = smoothing_paths(1, 1.0, cost.device)
+for colors in (guide, None):
+    with kernels("graph"):
+        expected = semi_global_smoothing(cost, 0.3, 3.6, colors, 0.4)
+    jumps = _jump_penalties(colors, paths, 0.3, 3.6, 0.4)
+    arrived = path_costs_kernel(cost, paths.ids, jumps, 0.3, paths.first)
+    torch.testing.assert_close(mean_by_id(arrived.flatten(2), paths.arrivals).transpose(0, 1), expected)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("program", [MEDIANS, SYSTEMS, PATHS], ids=["medians", "systems", "paths"])
+def test_a_kernel_returns_what_operators_of_torch_do(program: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip(
+        "triton", reason="kernels need Triton, which torch for CUDA brings along: pip install triton"
+    )
+    monkeypatch.setenv("TRITON_INTERPRET", "1")
+    python("-c", program)

@@ -303,6 +303,7 @@ CALLS: dict[str, Callable[[], Any]] = {
     "SweepVolume": lambda: sweep.sphere_sweep(m(1, 4, 5, V), tables()),
     "sphere_sweep": lambda: sweep.sphere_sweep(m(1, 4, 5, V), tables(), mask(4, V)),
     "DepthEstimate": lambda: sweep.depth_estimate(m(1, 8, V), mask(1, 4, 8, V)),
+    "DepthHint": lambda: sweep.DepthHint(m(1, V), m(1, V)).coarser(),
     "depth_estimate": lambda: sweep.depth_estimate(m(1, 8, V), mask(1, 4, 8, V)),
     "correlation_evidence": lambda: sweep.correlation_evidence(m(1, 4, 3, V), tables()),
     "depth_from_index": lambda: sweep.depth_from_index(m(5), 8, 0.5),

@@ -16,7 +16,7 @@ from sphericalvision.icosphere.topology import check_level
 from sphericalvision.models import DepthNetwork
 from sphericalvision.sphere import Equirectangular, Views
 from sphericalvision.sphere.intake import unsigned
-from sphericalvision.sweep import DepthEstimate, index_from_inverse_depth
+from sphericalvision.sweep import DepthEstimate, DepthHint, index_from_inverse_depth
 
 __all__ = ["RectifiedSGBM"]
 
@@ -70,9 +70,10 @@ class RectifiedSGBM(DepthNetwork):
         images: Float[Tensor, "B n 3 H W"],
         rig: CameraRig | Any,
         seen: Bool[Tensor, "B n H W"] | Bool[Tensor, "n H W"] | None = None,
+        hint: DepthHint | None = None,
     ) -> DepthEstimate:
         """Return index, confidence and whether a pair saw it, each ``(B, h, 2 h)``; as ``DepthNetwork.predict``."""
-        self.check_images(images, seen)
+        self.check_images(images, seen, hint)
         rig, pairs = self.tables(rig) if isinstance(rig, CameraRig) else rig
         usable = torch.ones_like(images[:, :, :1]) if seen is None else seen.to(images).unsqueeze(-3)
         layers = torch.cat((unsigned(images), usable.expand_as(images[:, :, :1])), -3).unbind(1)

@@ -20,7 +20,7 @@ from sphericalvision.icosphere import (
 )
 from sphericalvision.icosphere.hierarchy import icosphere_vertex_parents
 from sphericalvision.models.hexunet import HexResidualBlock
-from sphericalvision.models.logit_fusion import FusedLogits, two_modes
+from sphericalvision.models.logit_fusion import FusedLogits, HintedIndex, two_modes
 from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth
 
 __all__ = ["CandidateRefinement", "Candidates", "RefinedIndex", "candidates_of", "finer_logits", "with_sky"]
@@ -38,7 +38,7 @@ class Candidates(NamedTuple):
 
     Attributes:
         index: ``(B, 4, V)``: the mean of the two coarser vertices beside it, the nearest and the farthest around these,
-            and the second best answer of one of them.
+            and the second best answer of one of them, or a hint.
         likely: ``(B, 4, V)`` probability of their hypotheses at these two vertices.
         step: ``(B, V)`` by how far these two differ.
         spread: ``(B, V)`` expected distance of the two coarser vertices' indices from what they say.
@@ -153,13 +153,16 @@ def finer_logits(fused: FusedLogits, index: Float[Tensor, "B V_fine"]) -> FusedL
 
 
 def candidates_of(
-    fused: FusedLogits, modes: tuple[Float[Tensor, "B V_coarse"], Float[Tensor, "B V_coarse"]] | None = None
+    fused: FusedLogits,
+    modes: tuple[Float[Tensor, "B V_coarse"], Float[Tensor, "B V_coarse"]] | None = None,
+    hint: HintedIndex | None = None,
 ) -> Candidates:
     """Return what the vertices of the next finer icosphere choose from.
 
     Args:
         fused: logits of the coarser one.
         modes: ``(B, V_coarse)`` best and second best index of each of its vertices; those of the logits when not given.
+        hint: on the finer one; where its weight is above 0 it takes the place of the second best index.
 
     Examples:
         >>> logits = torch.zeros(1, 31, 42)
@@ -175,12 +178,13 @@ def candidates_of(
     around = best[:, _ring_around(level, logits.device)]
     near, far = torch.maximum(best, around.amax(-1)), torch.minimum(best, around.amin(-1))
     ours, theirs = best[:, one], best[:, other]
+    last = second[:, one] if hint is None else hint.index.where(hint.weight > 0, second[:, one])
     index = torch.stack(
         (
             (ours + theirs) / 2,
             torch.maximum(near[:, one], near[:, other]),
             torch.minimum(far[:, one], far[:, other]),
-            second[:, one],
+            last,
         ),
         1,
     )

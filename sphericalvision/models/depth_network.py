@@ -17,7 +17,8 @@ from sphericalvision.crown import set_kernel_options
 from sphericalvision.crown.recompute import recomputes
 from sphericalvision.icosphere import Icosphere, num_icosphere_vertices
 from sphericalvision.sphere.intake import Intake
-from sphericalvision.sweep import DepthEstimate, depth_from_index
+from sphericalvision.sweep import DepthEstimate, DepthHint, depth_from_index
+from sphericalvision.sweep.depth_hint import check_hint
 from sphericalvision.sweep.hypotheses import check_hypotheses
 
 if TYPE_CHECKING:
@@ -115,6 +116,7 @@ class DepthNetwork(RemembersArguments):
             rig's radius, as a network needs that was trained with rigs of one radius; ``"training"``, that of the
             training, if rigs of many radii were in it; ``"scene"``, a little nearer than the nearest surface, where
             nothing was trained.
+        takes_hints: whether ``predict`` and ``training_loss`` take a ``DepthHint``; others refuse one.
 
     Raises:
         ArgumentError: fewer than two hypotheses or less than one camera, or a depth that is not positive.
@@ -148,6 +150,7 @@ class DepthNetwork(RemembersArguments):
     level: int
     image_channels: tuple[int, ...] = (3,)
     min_depth_follows: ClassVar[Literal["rig", "training", "scene"]] = "rig"
+    takes_hints: ClassVar[bool] = False
     fixed_by: ClassVar[tuple[str, ...] | None] = None
     """Hyper-parameters that ``fixed_inputs`` depend on, if they do not depend on all."""
 
@@ -166,6 +169,7 @@ class DepthNetwork(RemembersArguments):
         images: Float[Tensor, "B n C *size"],
         rig: CameraRig | Any,
         seen: Bool[Tensor, "B n *size"] | Bool[Tensor, " n *size"] | None = None,
+        hint: DepthHint | None = None,
     ) -> DepthEstimate:
         """Return the hypothesis index, the confidence in it, and whether two cameras saw it, each ``(B, *grid.shape)``.
 
@@ -174,8 +178,10 @@ class DepthNetwork(RemembersArguments):
             rig: of all samples or, with batched poses, a rig a sample; or the ``tables`` of either.
             seen: ``(B, n, V_level)`` or ``(B, n, H, W)``, True where the images show something; without a batch
                 dimension it is for all samples. When not given, all that is inside the fields of view was seen.
+            hint: ``(B, *grid.shape)``, what is known of depth beforehand; only where the network ``takes_hints``.
 
         Raises:
+            ArgumentError: a hint for a network that takes none.
             ShapeError: if the images have another shape than the network or the rig asks for.
         """
         raise NotImplementedError(f"{type(self).__name__}.predict")
@@ -185,9 +191,11 @@ class DepthNetwork(RemembersArguments):
         images: Float[Tensor, "B n C *size"],
         rig: CameraRig | Any,
         seen: Bool[Tensor, "B n *size"] | Bool[Tensor, " n *size"] | None = None,
+        hint: DepthHint | None = None,
     ) -> Float[Tensor, " B *grid"]:
         """Return the hypothesis index ``(B, *grid.shape)``, 0 to N - 1; arguments as for ``predict``."""
-        return self.predict(images, rig, seen).index
+        hints = () if hint is None else (hint,)  # networks of others may not know what a hint is
+        return self.predict(images, rig, seen, *hints).index
 
     def training_loss(
         self,
@@ -198,6 +206,7 @@ class DepthNetwork(RemembersArguments):
         valid: Bool[Tensor, " B *grid"],
         loss: Callable[..., Tensor],
         fixed: Mapping[str, Tensor] | None = None,
+        hint: DepthHint | None = None,
     ) -> Float[Tensor, ""]:
         """Return what training makes small: the loss of the index, unless a network wants more.
 
@@ -211,8 +220,9 @@ class DepthNetwork(RemembersArguments):
             valid: where it is known.
             loss: of index, true index and where that is known.
             fixed: what ``fixed_inputs`` returned for these images; ``seen`` is given then, too.
+            hint: as for ``predict``.
         """
-        return loss(self(images, rig, seen), target, valid)
+        return loss(self(images, rig, seen, hint), target, valid)
 
     def fixed_inputs(
         self,
@@ -250,8 +260,12 @@ class DepthNetwork(RemembersArguments):
         self,
         images: Float[Tensor, "B n C *size"],
         seen: Bool[Tensor, "B n *size"] | Bool[Tensor, " n *size"] | None = None,
+        hint: DepthHint | None = None,
     ) -> None:
-        """Raise ``ShapeError`` unless images and ``seen`` have the shape and the cameras that this network takes."""
+        """Raise ``ShapeError`` unless images, ``seen`` and hint have the shape and the cameras that this network takes.
+
+        A hint for a network that takes none is an ``ArgumentError``.
+        """
         on_sphere = self.images == "sphere"
         check_tensor("images", images, "(B, n, 3, V)" if on_sphere else "(B, n, 3, H, W)")
         weight = next((value for value in self.parameters() if value.is_floating_point()), None)
@@ -286,6 +300,16 @@ class DepthNetwork(RemembersArguments):
         if seen is not None and not fits:
             raise ShapeError(
                 f"seen: expected shape {one}, or {(images.shape[0], *one)} as the images have, got {tuple(seen.shape)}"
+            )
+        if hint is not None:
+            self.check_takes_hints()
+            check_hint(hint, (images.shape[0], *self.grid.shape))
+
+    def check_takes_hints(self) -> None:
+        """Raise ``ArgumentError`` if this network takes no hints."""
+        if not self.takes_hints:
+            raise ArgumentError(
+                f"hint: {type(self).__name__} takes none; leave it out, or take RefinedSweepNet"
             )
 
     @property

@@ -35,6 +35,7 @@ from sphericalvision.models.weights.registry import register_network
 from sphericalvision.sweep import (
     Aggregation,
     DepthEstimate,
+    DepthHint,
     SphereSweep,
     SweepTables,
     SweepVolume,
@@ -128,6 +129,7 @@ class IcoSweepNet(DepthNetwork):
         images: Float[Tensor, "B n 3 V_image"],
         rig: CameraRig | SweepTables,
         seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
+        hint: DepthHint | None = None,
     ) -> DepthEstimate:
         """Return index, confidence and whether two cameras saw it, each ``(B, V_{level-2})``.
 
@@ -140,7 +142,7 @@ class IcoSweepNet(DepthNetwork):
         Raises:
             ShapeError: if the images have another shape than the network or the rig asks for.
         """
-        self.check_images(images, seen)
+        self.check_images(images, seen, hint)
         # A line a stage; the largest tensors share one name, so that each goes as soon as the next one stands.
         features = self.extract_features(images)
         volume, views = self.sweep(features, rig, seen)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import torch
@@ -14,13 +14,30 @@ from torch import Tensor, nn
 from sphericalvision.models.hexunet import HexUNet
 from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth
 
-__all__ = ["FusedLogits", "LogitFusion", "SweepClues", "between_hypotheses", "two_modes"]
+__all__ = [
+    "FusedLogits",
+    "HintedIndex",
+    "LogitFusion",
+    "SweepClues",
+    "at_index",
+    "between_hypotheses",
+    "two_modes",
+    "with_hint",
+]
 
 REACH = 4
 """Tried hypotheses to each side of the best one that the expectation is taken over."""
 PRIOR_FLOOR = -8.0
 STRENGTH = 4.0
 """Of the residual, so that layers may be small."""
+HINT_REACH = 4.0
+"""Hypotheses beyond which it does not matter how far one is from a hint: it may be wrong."""
+HINT_STRENGTH = 3.0
+"""By how much a logit falls with each hypothesis of distance from a hint of weight 1, before training."""
+HINT_CLUES = 6
+"""Channels that say what speaks for and against a hint."""
+TRUST_SLOPE = 12.0
+"""Of the logit of trust in a hint, with its share of the mean cost; it is 0 at 0.45."""
 
 
 class SweepClues(NamedTuple):
@@ -55,12 +72,25 @@ class FusedLogits(NamedTuple):
     state: Float[Tensor, "B S V"]
 
 
+class HintedIndex(NamedTuple):
+    """A ``DepthHint`` in hypotheses.
+
+    Attributes:
+        index: ``(B, V)``, 0 to N - 1.
+        weight: ``(B, V)`` 0 to 1; 0 where nothing is known.
+    """
+
+    index: Float[Tensor, "B V"]  # type: ignore[assignment]  # hides tuple.index
+    weight: Float[Tensor, "B V"]
+
+
 class LogitFusion(nn.Module):
     """Add costs and a prior as logits, with a gate for each of the two and a residual at every vertex.
 
     Logits of independent sources add up (a product of experts). A U-Net that sees all clues, the colours and what is up
     says how far to trust each of the two, and what both overlook. Gates begin at one and the residual at zero, so
-    training starts from the plain sum: the geometry's precision is there from the first step.
+    training starts from the plain sum: the geometry's precision is there from the first step. A hint, where there is
+    one, is a third source, with layers of its own: without it nothing is computed for it.
 
     Args:
         num_hypotheses: N.
@@ -82,8 +112,12 @@ class LogitFusion(nn.Module):
         self.entry = nn.Conv1d(2 * num_positions + 2 * num_hypotheses + 4 + 3 + 6, widths[0], 1)
         self.unet = HexUNet(widths, blocks)
         self.exit = nn.Conv1d(widths[0], sum(self.sizes), 1)
+        self.hint_entry = nn.Conv1d(HINT_CLUES, widths[0], 1, bias=False)
+        self.hint_exit = nn.Conv1d(widths[0], 1, 1)
         with torch.no_grad():
             self.exit.weight[: num_positions + 2].zero_()
+            for values in (*self.hint_entry.parameters(), *self.hint_exit.parameters()):
+                values.zero_()
         nn.init.zeros_(self.exit.bias)  # type: ignore[arg-type]
         #: Logarithms of what costs and prior are multiplied with everywhere.
         self.sharpness = nn.Parameter(torch.tensor([math.log(4.0), 0.0]))
@@ -101,6 +135,7 @@ class LogitFusion(nn.Module):
         appearance: AppearanceAtDepth,
         up: Float[Tensor, " V"],
         rig_size: Float[Tensor, " B"],
+        hint: HintedIndex | None = None,
     ) -> FusedLogits:
         """Return logits and state.
 
@@ -111,6 +146,7 @@ class LogitFusion(nn.Module):
             appearance: what cameras see there, K = 1.
             up: ``(V,)`` the upward coordinate of vertices.
             rig_size: ``(B,)`` mean distance of cameras from the centre, in least depths.
+            hint: at the vertices of the costs.
         """
         number = clues.mean.shape[1]
         color, deviation, cameras = (values[:, 0] for values in appearance)
@@ -125,11 +161,41 @@ class LogitFusion(nn.Module):
         )
         prior_clue = prior.clamp(min=PRIOR_FLOOR) / 4
         entries = (clues.cost, clues.best, clues.mean, prior_clue, clues.cameras / 4, color)
-        values = self.unet(self.entry(torch.cat((*entries, torch.stack(numbers, 1)), 1)))
+        values = self.entry(torch.cat((*entries, torch.stack(numbers, 1)), 1))
+        if hint is not None:
+            hint_clues = self._hint_clues(clues, prior, start, hint)
+            values = values + self.hint_entry(hint_clues)
+        values = self.unet(values)
         residual, gates, state = self.exit(values).split(self.sizes, 1)
         cost_weight, prior_weight = self._weights(gates)
         logits = prior_weight * between_hypotheses(prior) - cost_weight * clues.cost + STRENGTH * residual
+        if hint is not None:
+            logits = logits - self._hint_distance(hint, values, hint_clues, clues.cameras.amax(1) >= 2)
         return FusedLogits(logits, state)
+
+    @staticmethod
+    def _hint_clues(clues: SweepClues, prior: Tensor, start: Tensor, hint: HintedIndex) -> Tensor:
+        """What speaks for and against a hint ``(B, 6, V)``; 0 where there is none."""
+        cost, best = (at_index(values, hint.index) for values in (clues.cost, clues.best))
+        likely = at_index(between_hypotheses(prior), hint.index)
+        difference = ((hint.index - start) / 4).clamp(-2, 2)
+        values = (torch.ones_like(cost), difference, cost, clues.cost.mean(1), best, likely / 4)
+        return torch.stack(values, 1) * hint.weight[:, None]
+
+    def _hint_distance(
+        self, hint: HintedIndex, values: Tensor, hint_clues: Tensor, compared: Tensor
+    ) -> Tensor:
+        """By how much each hypothesis ``(B, M, V)`` is less likely the farther it is from a hint.
+
+        Before training a hint counts less, everywhere, the more it costs in the sweep of what any answer would: a wrong
+        one costs as much, and a right one a third or less, however bare surfaces are.
+        """
+        positions = torch.arange(self.sizes[0], device=values.device)[:, None] / 2
+        distance = (positions - hint.index[:, None]).abs().clamp(max=HINT_REACH)
+        gate = self.hint_exit(values).clamp(-3, 3).exp()
+        of_hint, of_any = (hint_clues[:, 2:4] * compared[:, None]).sum(-1, keepdim=True).unbind(1)
+        trust = (TRUST_SLOPE * (0.45 - of_hint / of_any.clamp(min=1e-6))).sigmoid()[:, None]
+        return HINT_STRENGTH * hint.weight[:, None] * trust * gate * distance
 
     def _weights(self, gates: Tensor) -> tuple[Tensor, ...]:
         """Factors ``(B, 1, V)`` of costs and prior from gates ``(B, 2, V)``."""
@@ -145,6 +211,20 @@ def between_hypotheses(logits: Float[Tensor, "B N V"]) -> Float[Tensor, "B M V"]
     """
     middle = (logits[:, 1:] + logits[:, :-1]) / 2
     return torch.cat((torch.stack((logits[:, :-1], middle), 2).flatten(1, 2), logits[:, -1:]), 1)
+
+
+def at_index(values: Float[Tensor, "B M V"], index: Float[Tensor, "B V"]) -> Float[Tensor, "B V"]:
+    """Return values ``(B, 2 N - 1, V)`` of tried hypotheses at an index of N, linear between two of them.
+
+    Examples:
+        >>> at_index(torch.arange(5.0)[None, :, None], torch.tensor([[1.25]]))
+        tensor([[2.5000]])
+    """
+    place = 2 * index
+    lower = place.floor().long().clamp(0, values.shape[1] - 2)
+    share = place - lower
+    below, above = (values.gather(1, (lower + step)[:, None]).squeeze(1) for step in (0, 1))
+    return below * (1 - share) + above * share
 
 
 def two_modes(logits: Float[Tensor, "B M V"]) -> tuple[Float[Tensor, "B V"], Float[Tensor, "B V"]]:
@@ -171,3 +251,22 @@ def two_modes(logits: Float[Tensor, "B M V"]) -> tuple[Float[Tensor, "B V"], Flo
     scores = logits.detach()
     far = far_from_best(scores)
     return expected(far), expected(far_from_best(scores.masked_fill(~far, -torch.inf)))
+
+
+def with_hint(weights: Mapping[str, Tensor], prefix: str = "") -> dict[str, Tensor]:
+    """Return weights of ``LogitFusion`` with the layers for hints, which those of version 0.2 do not have.
+
+    They are those before training. Weights that have them stay as they are.
+
+    Args:
+        weights: of ``state_dict``, of a fusion or of a network that has one.
+        prefix: of the fusion's names, such as ``"fusion."``.
+    """
+    result = dict(weights)
+    if f"{prefix}entry.weight" in result and f"{prefix}hint_entry.weight" not in result:
+        like = result[f"{prefix}entry.weight"]
+        width = len(like)
+        result[f"{prefix}hint_entry.weight"] = like.new_zeros(width, HINT_CLUES, 1)
+        result[f"{prefix}hint_exit.weight"] = like.new_zeros(1, width, 1)
+        result[f"{prefix}hint_exit.bias"] = like.new_zeros(1)
+    return result

@@ -17,6 +17,7 @@ from sphericalvision.models.weights.registry import register_network
 from sphericalvision.sweep import (
     Aggregation,
     DepthEstimate,
+    DepthHint,
     PanoramaSweep,
     SweepVolume,
     soft_argmax,
@@ -135,9 +136,10 @@ class OmniMVS(DepthNetwork):
         images: Float[Tensor, "B n C H W"],
         rig: CameraRig | PanoramaTables,
         seen: Bool[Tensor, "B n H W"] | Bool[Tensor, "n H W"] | None = None,
+        hint: DepthHint | None = None,
     ) -> DepthEstimate:
         """Return index, confidence and whether two cameras saw it, each ``(B, h, w)``, as ``DepthNetwork.predict``."""
-        self.check_images(images, seen)
+        self.check_images(images, seen, hint)
         tables = self.sweep.tables_for(images, rig)
         features = self.extract_features(images)
         swept = self.sweep_features(features, tables, seen)

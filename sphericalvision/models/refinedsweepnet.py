@@ -24,11 +24,21 @@ from sphericalvision.models.candidate_refinement import (
 )
 from sphericalvision.models.depth_network import DepthNetwork
 from sphericalvision.models.icosweepnet import IcoSweepNet
-from sphericalvision.models.logit_fusion import FusedLogits, LogitFusion, SweepClues, two_modes
+from sphericalvision.models.logit_fusion import (
+    FusedLogits,
+    HintedIndex,
+    LogitFusion,
+    SweepClues,
+    at_index,
+    two_modes,
+    with_hint,
+)
 from sphericalvision.models.weights.registry import register_network
 from sphericalvision.sweep import (
     DepthEstimate,
+    DepthHint,
     SweepTables,
+    index_from_inverse_depth,
     inverse_depth_from_index,
     semi_global_costs,
     semi_global_tables,
@@ -143,6 +153,7 @@ class RefinedSweepNet(DepthNetwork):
     """
 
     min_depth_follows = "training"
+    takes_hints = True
     fixed_by = ("level", "min_depth", "inner_hypotheses", "prior", "coarse_level")
 
     def __init__(
@@ -204,8 +215,8 @@ class RefinedSweepNet(DepthNetwork):
 
     @classmethod
     def updated_weights(cls, weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return weights with an output for the sky, which those of version 0.2 do not have."""
-        return with_sky(weights, "refinement.")
+        """Return weights with an output for the sky and layers for hints, which those of version 0.2 do not have."""
+        return with_hint(with_sky(weights, "refinement."), "fusion.")
 
     def tables(self, rig: CameraRig) -> RefinedTables:
         """Return where each camera sees every point that is tried, to be passed in place of the rig."""
@@ -226,18 +237,20 @@ class RefinedSweepNet(DepthNetwork):
         images: Float[Tensor, "B n 3 V_image"],
         rig: CameraRig | RefinedTables,
         seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
+        hint: DepthHint | None = None,
     ) -> DepthEstimate:
         """Return index, confidence and whether two cameras saw it, each ``(B, V_level)``.
 
         As ``DepthNetwork.predict``; without ``seen``, all that fields of view and masks of the rig hold was seen.
         """
-        self.check_images(images, seen)
+        self.check_images(images, seen, hint)
         tables = rig if isinstance(rig, RefinedTables) else self.tables(rig)
         views = self.views(images, tables.seen if seen is None else seen)
         coarse, coarse_seen = views[0]
         clues = self.clues(coarse, tables, coarse_seen)
-        fused = self.fuse(clues, coarse, coarse_seen, tables.offsets)
-        index, confidence, sky, seen_by_two, _ = self.refine(fused, views, tables.offsets)
+        hints = self.hints(hint)
+        fused = self.fuse(clues, coarse, coarse_seen, tables.offsets, hints[0])
+        index, confidence, sky, seen_by_two, _ = self.refine(fused, views, tables.offsets, hints[1:])
         # Nothing there: as far as can be. What is there is not: an index of nearly 0 is a depth of kilometres.
         index = index.clamp(min=FARTHEST).masked_fill(sky >= 0, 0.0)
         scale = (self.num_hypotheses - 1) / (self.inner_hypotheses - 1)
@@ -253,6 +266,19 @@ class RefinedSweepNet(DepthNetwork):
         for _ in range(self.coarse_level + 1, self.level):
             views.insert(0, coarser_images(*views[0]))
         return views
+
+    def hints(self, hint: DepthHint | None) -> list[HintedIndex] | list[None]:
+        """Return a hint in inner hypotheses at each level from ``coarse_level`` to ``level``; Nones for none."""
+        if hint is None:
+            return [None] * (self.level - self.coarse_level + 1)
+        hints = [hint]
+        for _ in range(self.coarse_level, self.level):
+            hints.insert(0, hints[0].coarser())
+        scale = self.inner_hypotheses, self.min_depth
+        return [
+            HintedIndex(index_from_inverse_depth(inverse_depth, *scale).clamp(max=scale[0] - 1), weight)
+            for inverse_depth, weight in hints
+        ]
 
     def clues(
         self,
@@ -289,6 +315,7 @@ class RefinedSweepNet(DepthNetwork):
         images: Float[Tensor, "B n 3 V_image"],
         seen: Bool[Tensor, "B n V_image"],
         offsets: Float[Tensor, "*batch n 3"],
+        hint: HintedIndex | None = None,
     ) -> FusedLogits:
         """Return the logits ``(B, M, V)`` one level above the images."""
         prior = clues.prior.float()
@@ -298,13 +325,14 @@ class RefinedSweepNet(DepthNetwork):
         start = self.fusion.start(clues, prior)
         size = (offsets.norm(dim=-1).mean(-1) / self.min_depth).expand(images.shape[0])
         appearance = self._appearance(start[:, None], images, seen, offsets)
-        return self.fusion(clues, prior, start, appearance, self.up, size)  # type: ignore[no-any-return]
+        return self.fusion(clues, prior, start, appearance, self.up, size, hint)  # type: ignore[no-any-return]
 
     def refine(
         self,
         fused: FusedLogits,
         views: Sequence[tuple[Tensor, Tensor]],
         offsets: Float[Tensor, "*batch n 3"],
+        hints: Sequence[HintedIndex | None] | None = None,
     ) -> RefinedIndex:
         """Return the answer at the level of the images, in inner hypotheses.
 
@@ -312,10 +340,11 @@ class RefinedSweepNet(DepthNetwork):
             fused: of ``fuse``.
             views: of the method of that name, a step each.
             offsets: of the tables.
+            hints: at the levels of the views; none when not given.
         """
         modes = None
         for number, (images, seen) in enumerate(views):
-            candidates = candidates_of(fused, modes)
+            candidates = candidates_of(fused, modes, None if hints is None else hints[number])
             appearance = self._appearance(candidates.index, images, seen, offsets)
             refined: RefinedIndex = self.refinement(
                 candidates, appearance, fused.state, self.inner_hypotheses
@@ -360,6 +389,7 @@ class RefinedSweepNet(DepthNetwork):
         valid: Bool[Tensor, "B V_image"],
         loss: Callable[..., Tensor],
         fixed: Mapping[str, Tensor] | None = None,
+        hint: DepthHint | None = None,
     ) -> Float[Tensor, ""]:
         """Return a loss of the index at both levels, of the logits, and of the confidence.
 
@@ -382,8 +412,11 @@ class RefinedSweepNet(DepthNetwork):
                 "seen, fixed: expected both where training_tables(rig, fixed=True) stand for the rig, got "
                 f"{'no seen' if fixed else 'no fixed'}; pass what fixed_inputs returned and what it was given"
             )
-        fused = self.fuse(clues, coarse, coarse_seen, tables.offsets)
-        refined = self.refine(fused, views, tables.offsets)
+        if hint is None:  # layers for hints have gradients all the same, as several processes want it
+            hint = DepthHint(torch.zeros_like(target), torch.zeros_like(target))
+        hints = self.hints(hint)
+        fused = self.fuse(clues, coarse, coarse_seen, tables.offsets, hints[0])
+        refined = self.refine(fused, views, tables.offsets, hints[1:])
         scale = (self.inner_hypotheses - 1) / (self.num_hypotheses - 1)
         true = (target * scale).clamp(0, self.inner_hypotheses - 1)
         ids = ids_of_coarser_level(self.level, self.coarse_level, true.device)
@@ -418,12 +451,7 @@ def _offsets(rig: CameraRig) -> Tensor:
 
 def _cross_entropy(logits: Tensor, index: Tensor) -> Tensor:
     """``(B, V)`` of logits ``(B, 2 N - 1, V)`` and the two tried hypotheses around an index, in proportion."""
-    place = 2 * index
-    lower = place.floor().long().clamp(0, logits.shape[1] - 2)
-    share = place - lower
-    log_probability = logits.log_softmax(1)
-    below, above = (log_probability.gather(1, (lower + step)[:, None]).squeeze(1) for step in (0, 1))
-    return -(below * (1 - share) + above * share)
+    return -at_index(logits.log_softmax(1), index)
 
 
 def _bytes(values: Tensor) -> Tensor:

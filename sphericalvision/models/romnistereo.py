@@ -16,7 +16,7 @@ from sphericalvision.models.depth_network import DepthNetwork
 from sphericalvision.models.omnimvs_parts import FisheyeFeatures, ImageConv
 from sphericalvision.models.weights.registry import register_network
 from sphericalvision.sphere import Equirectangular
-from sphericalvision.sweep import DepthEstimate, PanoramaSweep
+from sphericalvision.sweep import DepthEstimate, DepthHint, PanoramaSweep
 from sphericalvision.sweep.panorama_sweep import PanoramaTables
 
 if TYPE_CHECKING:
@@ -119,12 +119,13 @@ class RomniStereo(DepthNetwork):
         images: Float[Tensor, "B 4 C H W"],
         rig: CameraRig | PanoramaTables,
         seen: Bool[Tensor, "B 4 H W"] | Bool[Tensor, "4 H W"] | None = None,
+        hint: DepthHint | None = None,
     ) -> DepthEstimate:
         """Return index, confidence and whether two cameras saw it, each ``(B, h, w)``, as ``DepthNetwork.predict``.
 
         Images are those of the cameras in front, to the right, behind and to the left, in this order.
         """
-        tables, maps = self._inputs(images, rig, seen)
+        tables, maps = self._inputs(images, rig, seen, hint)
         indices = self.refined(*self.volumes(maps, tables))
         index = indices[-1].clamp(0, self.num_hypotheses - 1)
         moved = (indices[-1] - indices[-2] if len(indices) > 1 else indices[-1]).abs()
@@ -144,9 +145,10 @@ class RomniStereo(DepthNetwork):
         valid: Bool[Tensor, "B h w"],
         loss: Callable[..., Tensor],
         fixed: Mapping[str, Tensor] | None = None,
+        hint: DepthHint | None = None,
     ) -> Float[Tensor, ""]:
         """Return the loss of every iteration, the later the heavier; arguments as in ``DepthNetwork``."""
-        tables, maps = self._inputs(images, rig, seen)
+        tables, maps = self._inputs(images, rig, seen, hint)
         indices = self.refined(*self.volumes(maps, tables))
         spacing = TRAINED_ITERATIONS / len(indices)
         weights = [DECAY ** (spacing * (len(indices) - 1 - i)) for i in range(len(indices))]
@@ -154,10 +156,14 @@ class RomniStereo(DepthNetwork):
         return torch.stack(losses).sum()
 
     def _inputs(
-        self, images: Tensor, rig: CameraRig | PanoramaTables, seen: Tensor | None
+        self,
+        images: Tensor,
+        rig: CameraRig | PanoramaTables,
+        seen: Tensor | None,
+        hint: DepthHint | None = None,
     ) -> tuple[PanoramaTables, Tensor]:
         """The tables of the rig and the features ``(B, 4, C, ceil(H / 2), ceil(W / 2))`` of the images."""
-        self.check_images(images, seen)
+        self.check_images(images, seen, hint)
         tables = self.sweep.tables_for(images, rig)
         if self.in_channels == 1:
             images = images.sum(2, keepdim=True)

@@ -18,6 +18,7 @@ from sphericalvision.models.depth_network import DepthNetwork
 from sphericalvision.models.weights.registry import register_network
 from sphericalvision.sweep import (
     DepthEstimate,
+    DepthHint,
     index_from_inverse_depth,
     photo_consistency,
     semi_global_sweep,
@@ -45,12 +46,13 @@ class _WithoutTraining(DepthNetwork):
         images: Float[Tensor, "B n 3 V_image"],
         rig: CameraRig | Any,
         seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
+        hint: DepthHint | None = None,
     ) -> DepthEstimate:
         """Return index, confidence and whether two cameras saw it, each ``(B, V)``, without gradients.
 
         As ``DepthNetwork.predict``; without ``seen``, all that fields of view and masks of the rig hold was seen.
         """
-        self.check_images(images, seen)
+        self.check_images(images, seen, hint)
         return self._estimate(images, self.tables(rig) if isinstance(rig, CameraRig) else rig, seen)
 
     def _estimate(self, images: Tensor, tables: Any, seen: Tensor | None) -> DepthEstimate:

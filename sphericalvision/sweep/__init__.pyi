@@ -4,6 +4,7 @@ from .aggregation import MeanVariance as MeanVariance
 from .aggregation import register_aggregation as register_aggregation
 from .consistency_share import photo_consistency_share as photo_consistency_share
 from .correlation import correlation_evidence as correlation_evidence
+from .depth_hint import DepthHint as DepthHint
 from .hypotheses import depth_from_index as depth_from_index
 from .hypotheses import index_from_depth as index_from_depth
 from .hypotheses import index_from_inverse_depth as index_from_inverse_depth

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError, ArgumentTypeError, ShapeError
 from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.models import (
     DepthNetwork,
@@ -32,6 +32,7 @@ from sphericalvision.models import (
     load_weights,
     save_weights,
 )
+from sphericalvision.sweep import DepthHint
 
 IMAGE_SIZE = (24, 30)
 TOLERANCE = 1e-4
@@ -240,6 +241,25 @@ def law_cameras_in_any_order_and_number(example: Example) -> None:
         torch.testing.assert_close(one, other, rtol=0, atol=TOLERANCE)
     for count in (2, len(rig) + 2):
         assert net(*inputs(net, 1, count)).shape == (1, *net.grid.shape)
+
+
+def law_hints_are_taken_or_refused(example: Example) -> None:
+    """One of weight 0 says nothing, to the bit."""
+    net = example.net()
+    images, rig = inputs(net, 2)
+    size = (2, *net.grid.shape)
+    hint = DepthHint(torch.ones(size), torch.zeros(size))
+    if not net.takes_hints:
+        with pytest.raises(ArgumentError, match=f"hint: {type(net).__name__} takes none"):
+            net(images, rig, hint=hint)
+        return
+    for one, other in zip(net.predict(images, rig, hint=hint), net.predict(images, rig), strict=True):
+        assert torch.equal(one, other)
+    assert not torch.equal(net(images, rig, hint=hint._replace(weight=torch.ones(size))), net(images, rig))
+    with pytest.raises(ShapeError, match=r"hint\.weight: expected shape"):
+        net(images, rig, hint=hint._replace(weight=hint.weight[:1]))
+    with pytest.raises(ArgumentTypeError, match="hint: expected a DepthHint"):
+        net(images, rig, hint=hint.weight)
 
 
 def law_what_was_not_seen_is_told(example: Example) -> None:

@@ -7,13 +7,15 @@ import math
 
 import pytest
 import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
 from torch import nn
 
 from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere
 from sphericalvision.data.augmentation.fivefold import rotate_fivefold
-from sphericalvision.icosphere import Icosphere
+from sphericalvision.icosphere import Icosphere, icosphere_neighbors
 from sphericalvision.icosphere.hierarchy import icosphere_vertex_parents
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import IcoSweepNet, RefinedSweepNet, pretrained, save_weights
@@ -23,8 +25,9 @@ from sphericalvision.models.logit_fusion import FusedLogits, two_modes
 from sphericalvision.models.refinedsweepnet import FARTHEST
 from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
-from sphericalvision.sweep import index_from_depth
+from sphericalvision.sweep import DepthHint, index_from_depth, inverse_depth_from_index
 from sphericalvision.sweep.appearance_at_depth import appearance_at_depth
+from sphericalvision.sweep.ring_mean import ids_of_coarser_level
 
 PRIOR = {
     "feature_channels": 4,
@@ -152,6 +155,8 @@ def test_learns_and_leaves_the_prior_alone(net, frame):
         losses.append(loss.item())
     assert losses[-1] < 0.8 * losses[0]
     assert all(torch.equal(value, before[name]) for name, value in net.prior.state_dict().items())
+    hint = DepthHint(0.5 * torch.ones_like(true), torch.ones_like(true))
+    net.training_loss(images, rig, seen, true, valid, depth_index_huber, fixed, hint).backward()
     assert all(p.grad is not None and p.grad.any() for p in net.parameters() if p.requires_grad)
 
 
@@ -351,3 +356,64 @@ def test_weights_without_a_sky_find_none(net, frame, tmp_path):
         read = read_network(path)
         assert read.refinement.exit.bias.shape == (7,)
         torch.testing.assert_close(read.predict(images, rig, seen), expected, rtol=0, atol=0)
+
+
+def test_weights_without_layers_for_hints_have_those_of_the_beginning(net, frame, tmp_path):
+    images, rig, seen, true = frame
+    hint = DepthHint(inverse_depth_from_index(true, 16, 0.55), torch.ones_like(true))
+    expected = net.predict(images, rig, seen, hint)
+    path = save_weights(net, tmp_path / "new.safetensors")
+    with safe_open(path, "pt") as file:
+        weights, metadata = {name: file.get_tensor(name) for name in net.state_dict()}, file.metadata()
+    old = {name: tensor for name, tensor in weights.items() if ".hint_" not in name}
+    assert len(weights) - len(old) == 3
+    save_file(old, path, metadata)
+    torch.testing.assert_close(read_network(path).predict(images, rig, seen, hint), expected, rtol=0, atol=0)
+
+
+def test_a_hint_helps_and_one_that_contradicts_the_images_hardly_harms():
+    """With the weights that ship, in a room with bare walls; in directions of one camera alone it says the most."""
+    net, rig = (
+        pretrained("refinedsweepnet-fast").eval(),
+        ring_rig(4, image_size=(160, 160), field_of_view=2.4),
+    )
+    scene, to_sphere = make_scene("plain", seed=3), ToSphere(5)
+    images, seen = to_sphere.images(render_rig(scene, rig, 1), rig)[None], to_sphere.seen(rig)[None]
+    inverse_depth = ray_depth(scene, rig.center, Icosphere(5).vertices).reciprocal()[None]
+    true = index_from_depth(inverse_depth.reciprocal(), net.num_hypotheses, net.min_depth)
+    noise = (0.06 * torch.randn(true.shape, generator=torch.Generator().manual_seed(0))).exp()
+
+    def errors(hint: DepthHint | None) -> list[float]:
+        error = (net.predict(images, rig, seen, hint).index - true).abs()
+        return [float(error[where & (true <= 15)].mean()) for where in (seen.sum(1) >= 2, seen.sum(1) == 1)]
+
+    every = torch.ones_like(true)
+    with torch.inference_mode():
+        by_two, by_one = errors(None)
+        hinted_two, hinted_one = errors(DepthHint(inverse_depth * noise, every))
+        wrong_two, wrong_one = errors(DepthHint(2.5 * inverse_depth, every))
+        sparse = errors(
+            DepthHint(inverse_depth, (torch.rand(true.shape, generator=torch.Generator()) < 0.05).float())
+        )
+    assert hinted_two < 0.8 * by_two
+    assert hinted_one < 0.6 * by_one
+    assert wrong_two < 1.1 * by_two
+    assert wrong_one < 1.1 * by_one
+    assert sparse[0] < by_two
+    assert sparse[1] < by_one
+
+
+def test_a_hint_on_a_coarser_level_is_that_of_the_vertex_or_of_those_around_it():
+    hint = DepthHint(torch.full((1, 162), 9.0), torch.zeros(1, 162))
+    ids = ids_of_coarser_level(2, 1)
+    ring = icosphere_neighbors(2)[ids[20]]
+    hint.weight[0, ids[3]], hint.inverse_depth[0, ids[3]] = 0.25, 2.0
+    hint.weight[0, ring[:2]], hint.inverse_depth[0, ring[:2]] = (
+        torch.tensor([0.2, 0.6]),
+        torch.tensor([1.0, 2.0]),
+    )
+    coarser = hint.coarser()
+    assert (coarser.weight[0, 3], coarser.inverse_depth[0, 3]) == (0.25, 2.0)
+    torch.testing.assert_close(coarser.inverse_depth[0, 20], torch.tensor(1.75))
+    torch.testing.assert_close(coarser.weight[0, 20], torch.tensor(0.5))
+    assert (coarser.weight[0] > 0).sum() < 10

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hints of depth as others give them, made from the truth: what training shows a network that is to take hints."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from sphericalvision.data.augmentation.fivefold import rotate_fivefold
+from sphericalvision.icosphere import icosphere_upsample, level_from_num_vertices, num_icosphere_vertices
+from sphericalvision.sweep import DepthHint
+from sphericalvision.sweep.ring_mean import ring_mean
+
+__all__ = ["simulated_hint"]
+
+NONSENSE, SPARSE, SINGLE, HOLED = 0.25, 0.3, 0.3, 0.5
+"""Shares of the hints: of another scene; of single points; of one camera alone; with holes."""
+SCALE, SHIFT = 0.06, 0.03
+"""Deviation of a view's scale, and of its shift in parts of the mean inverse depth."""
+ERRORS = 0.02, 0.15
+"""Relative error of a hint, least and most."""
+DENSITIES = 0.002, 0.1
+"""Share of the vertices that have a point, least and most."""
+COARSE = 3
+"""Level of the icosphere on which errors that hold together lie."""
+
+
+def simulated_hint(
+    inverse_depth: Float[Tensor, "B V"],
+    valid: Bool[Tensor, "B V"],
+    seen: Bool[Tensor, "B n V"] | None = None,
+    generator: torch.Generator | None = None,
+    share: float = 0.35,
+) -> DepthHint:
+    """Return a hint ``(B, V)`` for each sample, of weight 0 everywhere in most of them.
+
+    It is as wrong as what people have: each camera's view is scaled and shifted a little, as a monocular network leaves
+    it that was fitted to the sweep; edges are blurred; errors of up to 15 % are smooth for one part and independent
+    from vertex to vertex for the other, and the weight is about as low as they are large; there are holes, or only the
+    view of one camera, or single points as of a LiDAR. Where mirrors and bare walls are it says what is there, as the
+    truth does. One in four is of another sample, turned, and is no less sure of itself.
+
+    Args:
+        inverse_depth: ``(B, V)`` true, in 1/m, on an icosphere.
+        valid: ``(B, V)`` where that is known.
+        seen: ``(B, n, V)`` what each camera sees, on the same icosphere; without it there is one view of all.
+        generator: of the values' device.
+        share: of the samples that have a hint.
+
+    Examples:
+        >>> truth, generator = torch.full((8, 162), 0.5), torch.Generator().manual_seed(0)
+        >>> hint = simulated_hint(truth, truth > 0, generator=generator)
+        >>> hint.weight.shape, (hint.weight.amax(1) > 0).sum()
+        (torch.Size([8, 162]), tensor(2))
+    """
+    batch, device = len(inverse_depth), inverse_depth.device
+    level = level_from_num_vertices(inverse_depth.shape[-1])
+
+    def uniform(*shape: int) -> Tensor:
+        return torch.rand(batch, *shape, generator=generator, device=device)
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(batch, *shape, generator=generator, device=device)
+
+    def between(least: float, most: float) -> Tensor:
+        """A number of each sample, evenly spread in its logarithm."""
+        return (math.log(least) + uniform(1) * math.log(most / least)).exp()
+
+    def smooth() -> Tensor:
+        coarse = min(COARSE, level)
+        values = normal(1, num_icosphere_vertices(coarse))
+        for _ in range(coarse, level):
+            values = icosphere_upsample(values)
+        return values[:, 0]
+
+    nonsense, sparse, single = uniform(1) < NONSENSE, uniform(1) < SPARSE, uniform(1) < SINGLE
+    turned = rotate_fivefold(inverse_depth.roll(1, 0), 2), rotate_fivefold(valid.roll(1, 0), 2)
+    values = turned[0].where(nonsense, inverse_depth)
+    known = turned[1].where(nonsense, valid)
+    values = values.where(known, 0.0)
+
+    cameras = inverse_depth.new_ones(batch, 1, values.shape[-1]) if seen is None else seen.to(values)
+    order = cameras * (
+        uniform(cameras.shape[1], 1) + 0.01
+    )  # the greatest of those that see a direction says it
+    view = order.argmax(1)
+    mean = values.sum(1, keepdim=True) / known.sum(1, keepdim=True).clamp(min=1)
+    scale = (SCALE * normal(cameras.shape[1])).exp().gather(1, view)
+    shift = (SHIFT * normal(cameras.shape[1])).gather(1, view) * mean
+
+    rows = torch.stack((values, known.to(values)), -1).transpose(0, 1)
+    sums, weights = ring_mean(ring_mean(rows)).transpose(0, 1).unbind(-1)
+    blurred = values.lerp(sums / weights.clamp(min=1e-6), uniform(1))
+    error = between(*ERRORS)
+    dense = (blurred * scale * (error * smooth()).exp() + shift).clamp(min=0)
+    values = values.where(sparse, dense) * (0.5 * error * normal(values.shape[-1])).exp()
+
+    points = uniform(values.shape[-1]) < between(*DENSITIES)
+    known = known & (points | ~sparse) & ((smooth() > -0.5) | (uniform(1) > HOLED))
+    first = order.amax((1, 2), keepdim=True)[:, 0]
+    of_one = order.amax(1) == first  # the camera that comes before all others
+    known = known & (order.amax(1) > 0) & (of_one | ~single) & (uniform(1) < share)
+    weight = (1 - 4 * error + 0.15 * normal(1)).clamp(0.1, 1)
+    return DepthHint(values, weight * known)

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``DepthHint``: what is known of depth before a network sees the images."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sphericalvision.core import ShapeError, check_floating, check_tensor, check_type
+from sphericalvision.icosphere import level_from_num_vertices
+from sphericalvision.sweep.ring_mean import ids_of_coarser_level, ring_mean
+
+__all__ = ["DepthHint", "check_hint"]
+
+
+class DepthHint(NamedTuple):
+    """Depth that a LiDAR, a monocular network or the last frame says of some directions, on a network's icosphere.
+
+    It may be wrong: a network weighs it against what the images show.
+
+    Attributes:
+        inverse_depth: ``(B, V)`` in 1/m from the rig's centre, 0 is infinity; any number where the weight is 0.
+        weight: ``(B, V)`` 0 to 1: by how much it is to be trusted, 0 where nothing is known.
+
+    Examples:
+        >>> hint = DepthHint(torch.full((1, 162), 0.5), torch.zeros(1, 162))
+        >>> hint.weight[0, 0] = 0.8
+        >>> coarser = hint.coarser()
+        >>> coarser.weight.shape, coarser.weight.sum()
+        (torch.Size([1, 42]), tensor(0.8000))
+    """
+
+    inverse_depth: Float[Tensor, "B V"]
+    weight: Float[Tensor, "B V"]
+
+    def coarser(self) -> DepthHint:
+        """Return the hint on the next coarser icosphere: of each vertex its own, or the mean of those around it."""
+        level = level_from_num_vertices(self.weight.shape[-1])
+        values = torch.stack(
+            (
+                self.inverse_depth.where(self.weight > 0, 0.0),
+                self.weight,
+                self.weight.new_ones(()).expand_as(self.weight),
+            ),
+            -1,
+        )
+        sums = ring_mean((values * self.weight[..., None]).transpose(0, 1), level - 1).transpose(0, 1)
+        around = DepthHint(*(sums[..., :2] / sums[..., 2:].clamp(min=1e-6)).unbind(-1))
+        ids = ids_of_coarser_level(level, level - 1, self.weight.device)
+        own = DepthHint(self.inverse_depth[:, ids], self.weight[:, ids])
+        return DepthHint(
+            *(mine.where(own.weight > 0, other) for mine, other in zip(own, around, strict=True))
+        )
+
+
+def check_hint(hint: DepthHint, shape: tuple[int, ...]) -> None:
+    """Raise ``ShapeError`` unless a hint has a shape ``(B, *grid)``."""
+    check_type("hint", hint, DepthHint, "DepthHint(inverse_depth, weight) on the network's icosphere")
+    for name, values in zip(hint._fields, hint, strict=True):
+        check_tensor(f"hint.{name}", values, "(B, V)")
+        check_floating(f"hint.{name}", values)
+        if tuple(values.shape) != shape:
+            raise ShapeError(
+                f"hint.{name}: expected shape {shape}, a number for each sample and vertex, "
+                f"got {tuple(values.shape)}"
+            )

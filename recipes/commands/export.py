@@ -24,6 +24,7 @@ from sphericalvision.capture.export import (
     onnx_difference,
     rig_tables,
 )
+from sphericalvision.core import ArgumentError
 from sphericalvision.io.files import atomic_write
 from sphericalvision.recipes.app.cli import print_config, say
 from sphericalvision.recipes.app.kinds import STRICT, Count, Positive, Text
@@ -49,6 +50,8 @@ class ExportConfig:
     tables: Literal["inside", "inputs"]
     batch: Count | None
     formats: list[Literal["pt2", "onnx", "compiled"]]
+    device: Literal["cpu", "cuda"]
+    precision: Literal["float32", "bfloat16", "float16"]
     output: Text
 
 
@@ -56,8 +59,13 @@ def export(config: ExportConfig, folder: Path) -> list[Path]:
     """Write the program in every format of ``config.formats``; returns the files.
 
     Raises:
-        ArgumentError: what ``RigProgram`` refuses.
+        ArgumentError: what ``RigProgram`` refuses; or an ONNX file in less than float32.
     """
+    if "onnx" in config.formats and config.precision != "float32":
+        raise ArgumentError(
+            f"precision: expected float32 for formats=[onnx], got {config.precision}: those who run ONNX files convert "
+            "them; formats=[pt2,compiled] take it"
+        )
     rig = config.file.rig()
     if config.cameras is not None:
         rig = rig.subset(list(config.cameras))
@@ -69,6 +77,8 @@ def export(config: ExportConfig, folder: Path) -> list[Path]:
         min_depth=min_depth,
         level=config.level,
         num_hypotheses=config.num_hypotheses,
+        device=config.device,
+        precision=config.precision,
     )
     print_config(config, folder)
     program = RigProgram(predictor, config.inputs, config.height, config.tables).eval()

@@ -20,6 +20,7 @@ from torch.func import functional_call
 from torch.fx import Graph, GraphModule, Interpreter, Node
 from torch.utils import _pytree
 
+from sphericalvision.capture.pipeline import in_precision
 from sphericalvision.capture.predictor import Predictor
 from sphericalvision.capture.result import positive
 from sphericalvision.core import ArgumentError, MissingCompilerError, check_choice, kernels
@@ -64,7 +65,7 @@ class RigProgram(nn.Module):
     """A network and a rig as a module of tensors alone, which can be exported.
 
     Args:
-        predictor: whose nearest depth is known.
+        predictor: whose nearest depth is known; the program is for its device, and computes in its precision.
         inputs: ``"camera"`` for images ``(B, n, 3, h, w)`` in [0, 1] as the cameras take them, or ``"sphere"`` for
             ``(B, n, 3, V)`` in [-1, 1] on icospheres, as ``Predictor.inputs`` makes them.
         height: rows of a panorama that the answer is given on; on the network's own grid when not given.
@@ -94,7 +95,7 @@ class RigProgram(nn.Module):
         check_choice("tables", tables, TABLES)
         self.net, self.inputs, self.tables = predictor.network, inputs, tables
         self.shape: tuple[int, int] | None = None
-        self.intake = predictor.pipeline.intake
+        self.intake, self.precision = predictor.pipeline.intake, predictor.pipeline.precision
         if inputs == "sphere" and self.net.images != "sphere":
             raise ArgumentError(
                 f"inputs: {type(self.net).__name__} takes images of cameras, not of icospheres"
@@ -133,9 +134,11 @@ class RigProgram(nn.Module):
             named = dict(zip(self.intake.rig.names, images.unbind(1), strict=True))
             images = signed(self.intake.looked_up(named), self.seen)
         leaves = [getattr(self, f"table{k}") if leaf is None else leaf for k, leaf in enumerate(self.leaves)]
-        index, confidence, seen = self.net.predict(
-            images, _pytree.tree_unflatten(leaves, self.structure), self.seen
-        )
+        with in_precision(self.precision, images.device):
+            index, confidence, seen = self.net.predict(
+                images, _pytree.tree_unflatten(leaves, self.structure), self.seen
+            )
+        confidence = confidence.float()
         inverse_depth = inverse_depth_from_index(index.float(), self.net.num_hypotheses, self.net.min_depth)
         if self.shape is None:
             return inverse_depth, confidence, seen
@@ -182,6 +185,8 @@ def description(program: RigProgram) -> dict[str, str]:
         "center": ", ".join(f"{value:.6g}" for value in rig.center.tolist()),
         "min_depth": f"{net.min_depth:.6g}",
         "num_hypotheses": str(net.num_hypotheses),
+        "device": program.seen.device.type,
+        "precision": f"{program.precision}; inputs, geometry and outputs are float32",
     }
 
 
@@ -280,8 +285,10 @@ def export_program(
         program(
             *inputs
         )  # makes the tables of icospheres: who records would take the making for a part of the program
-        traced: Any = torch.export.export(program, inputs, dynamic_shapes=shapes, strict=False).module()
-        folded = with_constants_folded(traced, *inputs)
+        traced: Any = torch.export.export(program, inputs, dynamic_shapes=shapes, strict=False)
+        if program.precision != "float32":  # what autocast does to each operator is written out
+            traced = traced.run_decompositions({})
+        folded = with_constants_folded(traced.module(), *inputs)
         exported = torch.export.export(folded, inputs, dynamic_shapes=shapes, strict=False)
         exported.graph_module.meta[DESCRIPTION] = description(program)
         if path is not None:
@@ -294,8 +301,8 @@ def export_program(
 def compile_program(exported: torch.export.ExportedProgram, path: str | Path) -> Path:
     """Compile an exported program to machine code, which libtorch runs from C++ and torch from Python.
 
-    The ``.pt2`` file is for this kind of processor and this version of torch: ``torch._inductor.aoti_load_package`` in
-    Python, ``AOTIModelPackageLoader`` in C++.
+    The ``.pt2`` file is for the device of the program, this kind of processor and this version of torch:
+    ``torch._inductor.aoti_load_package`` in Python, ``AOTIModelPackageLoader`` in C++.
 
     Args:
         exported: of ``export_program``.
@@ -303,10 +310,10 @@ def compile_program(exported: torch.export.ExportedProgram, path: str | Path) ->
 
     Raises:
         ArgumentError: another ending.
-        MissingCompilerError: there is no C++ compiler on this machine.
+        MissingCompilerError: there is no C++ compiler on this machine or, for a CUDA device, no Triton or toolkit.
     """
     from torch._inductor import aoti_compile_and_package
-    from torch._inductor.exc import InvalidCxxCompiler
+    from torch._inductor.exc import InvalidCxxCompiler, TritonMissing
 
     path = Path(path)
     if path.suffix != ".pt2":
@@ -317,6 +324,16 @@ def compile_program(exported: torch.export.ExportedProgram, path: str | Path) ->
         except InvalidCxxCompiler:
             raise MissingCompilerError(
                 "compiled: needs a C++ compiler, g++ or clang++ (CXX names another); formats=[pt2,onnx] need none"
+            ) from None
+        except TritonMissing:
+            raise MissingCompilerError(
+                "compiled: for device=cuda needs Triton (pip install triton)"
+            ) from None
+        except OSError as error:
+            if "CUDA_HOME" not in str(error):
+                raise
+            raise MissingCompilerError(
+                "compiled: for device=cuda needs the CUDA toolkit and its headers; CUDA_HOME names its folder"
             ) from None
         Path(made).replace(path)
     _write_description(exported, path)

@@ -29,9 +29,17 @@ from sphericalvision.models import DepthNetwork
 from sphericalvision.sphere.intake import as_colors, signed
 from sphericalvision.sweep import DepthEstimate
 
-__all__ = ["PRECISIONS", "Frame", "Pipeline"]
+__all__ = ["PRECISIONS", "Frame", "Pipeline", "in_precision"]
 
 PRECISIONS = ("float32", "bfloat16", "float16")
+
+
+def in_precision(precision: str, device: torch.device) -> AbstractContextManager[object]:
+    """Return the context in which a network computes in one of ``PRECISIONS``."""
+    if precision == "float32":
+        return nullcontext()
+    # Casts are not cached, since a graph has to hold them.
+    return torch.autocast(device.type, getattr(torch, precision), cache_enabled=False)
 
 
 class Frame(NamedTuple):
@@ -135,11 +143,7 @@ class Pipeline:
         """Return index, confidence and seen of what ``inputs`` returned, float32, with the same batch."""
         sizes = self.intake.seen.ndim + 1  # n, 3 and the size
         batch = inputs.shape[:-sizes]
-        precision: AbstractContextManager[object] = nullcontext()
-        if self.precision != "float32":  # casts are not cached, since a graph has to hold them
-            dtype = getattr(torch, self.precision)
-            precision = torch.autocast(inputs.device.type, dtype, cache_enabled=False)
-        with precision:
+        with in_precision(self.precision, inputs.device):
             estimate = self.network.predict(
                 inputs.reshape(-1, *inputs.shape[-sizes:]), self.tables, self.intake.seen
             )

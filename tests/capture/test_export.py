@@ -9,11 +9,13 @@ from pathlib import Path
 
 import pytest
 import torch
+from torch._inductor.exc import TritonMissing
 
 from sphericalvision import Predictor
 from sphericalvision.cameras import CameraRig, FisheyeCamera, ring_rig
 from sphericalvision.capture.export import (
     RigProgram,
+    compile_program,
     example_images,
     export_onnx,
     export_program,
@@ -22,7 +24,7 @@ from sphericalvision.capture.export import (
     with_constants_folded,
 )
 from sphericalvision.capture.preparation.preparation import AS_IT_IS
-from sphericalvision.core import ArgumentError, kernels
+from sphericalvision.core import ArgumentError, MissingCompilerError, kernels
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork, IcoSweepNet, OmniMVS, RefinedSweepNet
 from sphericalvision.scenes import make_scene, render_rig
@@ -241,6 +243,53 @@ def test_pt2_and_onnx_compute_the_same(tmp_path: Path) -> None:
         pytest.importorskip(package, reason="pip install sphericalvision[onnx]")
     path = export_onnx(exported, tmp_path / "depth.onnx")
     assert onnx_difference(path, program, images) < 1e-4
+
+
+@pytest.mark.slow
+def test_a_program_computes_in_the_precision_of_its_predictor(tmp_path: Path) -> None:
+    net = predictor().network
+    options = {"min_depth": 0.5, "preparation": AS_IT_IS}
+    exact, reduced = (
+        RigProgram(Predictor(RIG, net, precision=precision, **options), "sphere")  # type: ignore[arg-type]
+        for precision in ("float32", "bfloat16")
+    )
+    exported = export_program(reduced, tmp_path / "depth.pt2")
+    convolutions = [node for node in exported.graph.nodes if str(node.target).startswith("aten.conv")]
+    assert len(convolutions) == 62
+    for node in convolutions:
+        assert {argument.meta["val"].dtype for argument in node.args[:2]} == {torch.bfloat16}
+    images = example_images(reduced)
+    with torch.inference_mode():
+        loaded = torch.export.load(tmp_path / "depth.pt2").module()(images)
+        for ours, theirs in zip(reduced(images), loaded, strict=True):
+            torch.testing.assert_close(theirs, ours, rtol=2e-2, atol=2e-2)
+            assert theirs.dtype == ours.dtype
+        difference = (loaded[0] - exact(images)[0]).abs().mean()
+    assert 0 < difference < 0.02
+    told = json.loads((tmp_path / "depth.json").read_text())
+    assert (told["device"], told["precision"][:8]) == ("cpu", "bfloat16")
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (TritonMissing(None), "compiled: for device=cuda needs Triton"),
+        (OSError("CUDA_HOME environment variable is not set."), "CUDA_HOME names its folder"),
+    ],
+)
+def test_what_compiling_for_cuda_needs_is_told(
+    error: Exception, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Compiling for CUDA needs a device: what it raises without Triton or the toolkit is raised here."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("torch._inductor.aoti_compile_and_package", refuse)
+    program = RigProgram(Predictor(ring_rig(2, image_size=(8, 8)), Bright(), min_depth=0.5))
+    with pytest.raises(MissingCompilerError, match=told):
+        compile_program(export_program(program), tmp_path / "depth.pt2")
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_does_not_depend_on_images_is_constant() -> None:

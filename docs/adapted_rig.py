@@ -39,20 +39,33 @@ HYPOTHESES, NEAREST = 16, 0.55
 VEHICLE = 0  # seed of its materials: the same in all frames
 
 
-def frame(number: int, faults: CameraDisturbance) -> tuple[dict[str, Tensor], Tensor, Tensor]:
+def frame(
+    number: int, faults: CameraDisturbance
+) -> tuple[dict[str, Tensor], Tensor, Tensor]:
     """Images, true index at level 6, and where two cameras see past the vehicle."""
     seed = HELD_OUT_SEED + number
-    scene = make_scene(kind_of("all", seed), seed, center=RIG.center, clear_radius=CLEAR_RADIUS)
+    scene = make_scene(
+        kind_of("all", seed), seed, center=RIG.center, clear_radius=CLEAR_RADIUS
+    )
     carried = with_carrier(scene, "vehicle", RIG, VEHICLE)
-    images = {name: (255 * image).round() / 255 for name, image in render_rig(carried.scene, RIG, 1).items()}
+    images = {
+        name: (255 * image).round() / 255
+        for name, image in render_rig(carried.scene, RIG, 1).items()
+    }
     same_cameras = torch.Generator().manual_seed(7)
     images = faults({"images": images, "rig": RIG}, same_cameras)["images"]
     vertices = Icosphere(6).vertices
     inverse_depth = ray_depth(scene, RIG.center, vertices).reciprocal()
     valid = inverse_depth <= 1 / NEAREST
-    free = CameraRig(RIG.cameras, RIG.world_from_camera, carrier_masks(carried.body, RIG))
+    free = CameraRig(
+        RIG.cameras, RIG.world_from_camera, carrier_masks(carried.body, RIG)
+    )
     counts = valid & (seen_by(free, vertices, inverse_depth.where(valid, 0.0)) >= 2)
-    return images, index_from_inverse_depth(inverse_depth, HYPOTHESES, NEAREST), counts
+    return (
+        images,
+        index_from_inverse_depth(inverse_depth, HYPOTHESES, NEAREST),
+        counts,
+    )
 
 
 def write(folder: Path) -> None:
@@ -67,7 +80,10 @@ def write(folder: Path) -> None:
 def capture(folder: Path) -> Iterator[dict[str, Tensor]]:
     """The frames that were written."""
     for position in range(len(CAPTURE)):
-        yield {name: read_image(folder / name / f"{position:05d}.png") for name in RIG.names}
+        yield {
+            name: read_image(folder / name / f"{position:05d}.png")
+            for name in RIG.names
+        }
 
 
 def measure(folder: Path, weights: str) -> None:
@@ -75,18 +91,26 @@ def measure(folder: Path, weights: str) -> None:
     shipped, adapted = pretrained("refinedsweepnet"), load_weights(weights)
     aligned = read_rig(folder / "aligned.yaml")
     masks = find_own_body(aligned, capture(folder)).masks
-    masked, clean = (CameraRig(rig.cameras, rig.world_from_camera, masks) for rig in (aligned, RIG))
+    masked, clean = (
+        CameraRig(rig.cameras, rig.world_from_camera, masks)
+        for rig in (aligned, RIG)
+    )
     kinds: dict[str, tuple[CameraDisturbance, dict[str, Predictor]]] = {
         "disturbed": (
             FAULTS,
             {
                 "photometric=false": Predictor(
-                    OFF, shipped, min_depth=NEAREST, preparation=Preparation(photometric=False)
+                    OFF,
+                    shipped,
+                    min_depth=NEAREST,
+                    preparation=Preparation(photometric=False),
                 ),
                 "as it is": Predictor(OFF, shipped, min_depth=NEAREST),
                 "aligned": Predictor(aligned, shipped, min_depth=NEAREST),
                 "aligned, masked": Predictor(masked, shipped, min_depth=NEAREST),
-                "aligned, masked, adapted": Predictor(masked, adapted, min_depth=NEAREST),
+                "aligned, masked, adapted": Predictor(
+                    masked, adapted, min_depth=NEAREST
+                ),
             },
         ),
         "clean": (
@@ -103,7 +127,12 @@ def measure(folder: Path, weights: str) -> None:
         for number in TESTED:
             images, truth, counts = frame(number, faults)
             said = [predictor(images).index for predictor in ways.values()]
-            errors.append([((index - truth).abs() * 100 / HYPOTHESES)[counts].mean() for index in said])
+            errors.append(
+                [
+                    ((index - truth).abs() * 100 / HYPOTHESES)[counts].mean()
+                    for index in said
+                ]
+            )
         columns = torch.tensor(errors).T
         for name, column in zip(ways, columns, strict=True):
             better = int((column < columns[0]).sum())

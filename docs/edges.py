@@ -36,7 +36,9 @@ NEAR = 4
 
 def index_of(inverse_depth: Tensor) -> Tensor:
     """Index of what is no nearer than the nearest hypothesis."""
-    return index_from_inverse_depth(inverse_depth, NUM_HYPOTHESES, MIN_DEPTH).clamp(0, NUM_HYPOTHESES - 1)
+    return index_from_inverse_depth(inverse_depth, NUM_HYPOTHESES, MIN_DEPTH).clamp(
+        0, NUM_HYPOTHESES - 1
+    )
 
 
 def near_edges(truth: Tensor) -> Tensor:
@@ -50,7 +52,9 @@ def table(pixels: int = 1024, kinds: str = KINDS) -> str:
     """The lines of the table, as Markdown: means over one held-out scene of each kind, in hypotheses."""
     rig = ring_rig(4, image_size=(pixels, pixels))
     predictors = {
-        f"`{name}`, level {level}": Predictor(rig, name, level=level, min_depth=MIN_DEPTH)
+        f"`{name}`, level {level}": Predictor(
+            rig, name, level=level, min_depth=MIN_DEPTH
+        )
         for name, level in NETWORKS
     }
     rays = Equirectangular(HEIGHT, 2 * HEIGHT).directions.flatten(0, 1)
@@ -58,20 +62,28 @@ def table(pixels: int = 1024, kinds: str = KINDS) -> str:
     for kind in kinds.split(","):
         scene = make_scene(kind, SEED)
         images = render_rig(scene, rig)
-        truth = index_of(ray_depth(scene, rig.center, rays).reciprocal()).view(HEIGHT, 2 * HEIGHT)
+        truth = index_of(ray_depth(scene, rig.center, rays).reciprocal()).view(
+            HEIGHT, 2 * HEIGHT
+        )
         near = near_edges(truth)
         for name, predictor in predictors.items():
             depth = predictor(images)
             panorama = depth.panorama(HEIGHT)
-            corners = index_of(depth.inverse_depth)[locate(rays, depth.network.level)[0]].view(
-                *truth.shape, 3
-            )
+            corners = index_of(depth.inverse_depth)[
+                locate(rays, depth.network.level)[0]
+            ].view(*truth.shape, 3)
             for row, off in (
                 (name, (index_of(panorama.depth.reciprocal()) - truth).abs()),
-                ("the best of the three vertices around", (corners - truth[..., None]).abs().amin(-1)),
+                (
+                    "the best of the three vertices around",
+                    (corners - truth[..., None]).abs().amin(-1),
+                ),
             ):
                 errors[name, row].append(
-                    (off[near & panorama.seen].mean(), off[~near & panorama.seen].mean())
+                    (
+                        off[near & panorama.seen].mean(),
+                        off[~near & panorama.seen].mean(),
+                    )
                 )
     lines = ["| | near edges | elsewhere |", "|---|---:|---:|"]
     for (_, row), found in errors.items():

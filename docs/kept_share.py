@@ -73,9 +73,13 @@ def by_network(net: DepthNetwork) -> Method:
         )
 
     def estimate(sample: dict[str, Any], rig: CameraRig) -> Estimate:
-        found = net.predict(sample["images"][None], net.tables(rig), sample["seen"][None])
+        found = net.predict(
+            sample["images"][None], net.tables(rig), sample["seen"][None]
+        )
         vertices = Icosphere(level_from_num_vertices(len(sample["valid"]))).vertices
-        index, confidence, seen = (net.index_at(values.float(), vertices)[0][0] for values in found)
+        index, confidence, seen = (
+            net.index_at(values.float(), vertices)[0][0] for values in found
+        )
         return Estimate(index, confidence, seen > 0.5)
 
     return estimate
@@ -97,7 +101,9 @@ def measured(
     errors, confidences = [], []
     for sample in (scenes[number] for number in range(num_scenes)):
         found = method(sample, rig)
-        truth = index_from_inverse_depth(sample["inverse_depth"], NUM_HYPOTHESES, MIN_DEPTH)
+        truth = index_from_inverse_depth(
+            sample["inverse_depth"], NUM_HYPOTHESES, MIN_DEPTH
+        )
         counts = sample["valid"] & found.seen
         errors.append((found.index - truth).abs()[counts])
         confidences.append(found.confidence[counts])
@@ -107,12 +113,20 @@ def measured(
 def kept_table(answers: Answers) -> list[str]:
     """Errors of the surest points."""
     order = answers.confidences.argsort(descending=True)
-    lines = ["| kept | confidence from | mean error, % of N | error below 1 |", "|---:|---:|---:|---:|"]
+    lines = [
+        "| kept | confidence from | mean error, % of N | error below 1 |",
+        "|---:|---:|---:|---:|",
+    ]
     for share in SHARES:
         kept = order[: round(share * len(order))]
         errors = answers.errors[kept]
-        mean, below = 100 / NUM_HYPOTHESES * errors.mean(), (errors < 1).float().mean()
-        lines.append(f"| {share:.0%} | {answers.confidences[kept[-1]]:.2f} | {mean:.2f} | {below:.1%} |")
+        mean, below = (
+            100 / NUM_HYPOTHESES * errors.mean(),
+            (errors < 1).float().mean(),
+        )
+        lines.append(
+            f"| {share:.0%} | {answers.confidences[kept[-1]]:.2f} | {mean:.2f} | {below:.1%} |"
+        )
     return lines
 
 
@@ -125,33 +139,51 @@ def said_table(answers: Answers, is_probability: bool) -> list[str]:
         errors, said = answers.errors[inside], answers.confidences[inside].mean()
         share = f"| {low:.1f} to {min(high, 1):.1f} | {inside.float().mean():.0%} |"
         if is_probability:
-            lines.append(f"{share} {(errors < 1).float().mean():.0%} (said {said:.0%}) |")
+            lines.append(
+                f"{share} {(errors < 1).float().mean():.0%} (said {said:.0%}) |"
+            )
         else:
-            lines.append(f"{share} {errors.clamp(max=2).mean():.2f} (said {2 - 2 * said:.2f}) |")
+            lines.append(
+                f"{share} {errors.clamp(max=2).mean():.2f} (said {2 - 2 * said:.2f}) |"
+            )
     return lines
 
 
 def terrain(path: Path, seed: int) -> None:
     """Write hills with rings and leaning columns on them, in patterns of waves of all lengths, below an empty sky."""
     draw, side = np.random.default_rng(seed), 241
-    octaves = [zoom(draw.normal(size=(cells, cells)) * 3 / cells, side / cells) for cells in (4, 9, 21, 41)]
+    octaves = [
+        zoom(draw.normal(size=(cells, cells)) * 3 / cells, side / cells)
+        for cells in (4, 9, 21, 41)
+    ]
     x, z = np.meshgrid(*2 * [np.linspace(-9, 9, side)])
     ids = np.arange(side * side).reshape(side, side)
     corners = ids[:-1, :-1], ids[1:, :-1], ids[:-1, 1:], ids[1:, 1:]
     a, b, c, d = (corner.reshape(-1) for corner in corners)
     ground = np.stack((x, sum(octaves) - 1.5, z), -1).reshape(-1, 3)
-    parts = [trimesh.Trimesh(ground, np.concatenate((np.stack((a, b, c), 1), np.stack((c, b, d), 1))))]
+    parts = [
+        trimesh.Trimesh(
+            ground, np.concatenate((np.stack((a, b, c), 1), np.stack((c, b, d), 1)))
+        )
+    ]
     for number in range(70):
         size = draw.uniform(0.2, 1.5)
-        ring, column = torus(size, size / 4, 48, 24), cylinder(size / 4, 4 * size, sections=32)
+        ring, column = (
+            torus(size, size / 4, 48, 24),
+            cylinder(size / 4, 4 * size, sections=32),
+        )
         part = ring if number % 2 else column.subdivide().subdivide().subdivide()
         turn = random_rotation_matrix(draw.random(3))
         turn[:3, 3] = draw.uniform((-8, -1, -8), (8, 3, 8))
         parts.append(part.apply_transform(turn))
     for part in parts:
         waves = draw.normal(size=(3, 12)) * np.geomspace(0.5, 12, 12)
-        bright = np.sin(part.vertices @ waves + draw.uniform(0, 6, 12)).mean(-1, keepdims=True)
-        colors = 128 + 250 * bright * draw.uniform(0.3, 1, 3) + draw.uniform(-50, 50, 3)
+        bright = np.sin(part.vertices @ waves + draw.uniform(0, 6, 12)).mean(
+            -1, keepdims=True
+        )
+        colors = (
+            128 + 250 * bright * draw.uniform(0.3, 1, 3) + draw.uniform(-50, 50, 3)
+        )
         part.visual.vertex_colors = colors.clip(0, 255).astype(np.uint8)
     trimesh.util.concatenate(parts).export(path)
 
@@ -177,14 +209,19 @@ def calibration_errors(kinds: Sequence[Answers]) -> list[tuple[float, float]]:
     References:
         Guo et al. (2017), "On calibration of modern neural networks".
     """
-    shares, errors, said = map(torch.stack, zip(*map(errors_by_confidence, kinds), strict=True))
+    shares, errors, said = map(
+        torch.stack, zip(*map(errors_by_confidence, kinds), strict=True)
+    )
     found = []
     for one in range(len(kinds)):
         others = torch.arange(len(kinds)) != one
         weights = shares[others]
         elsewhere = (weights * errors[others]).sum(0) / weights.sum(0)
         learned = torch.where(weights.sum(0) > 0, elsewhere, said[one])
-        wrong = [float((shares[one] * (errors[one] - guess).abs()).sum()) for guess in (said[one], learned)]
+        wrong = [
+            float((shares[one] * (errors[one] - guess).abs()).sum())
+            for guess in (said[one], learned)
+        ]
         found.append((wrong[0], wrong[1]))
     return found
 
@@ -202,20 +239,43 @@ def kinds_table(name: str, kinds: Sequence[str], num_scenes: int = 4) -> str:
             for seed in range(num_scenes):
                 terrain(Path(folder, f"{seed}.glb"), seed)
         for kind in kinds:
-            meshes, usual = (mesh_files(folder), "room") if kind == "meshes" else (None, kind)
+            meshes, usual = (
+                (mesh_files(folder), "room") if kind == "meshes" else (None, kind)
+            )
             found = measured(method, 0, num_scenes, usual, meshes)
             answers.append(found)
             order = found.confidences.argsort(descending=True)
-            surest = found.errors[order[: round(0.8 * len(order))]].mean() / found.errors.mean()
-            cells = [f"{100 / NUM_HYPOTHESES * found.errors.mean():.2f}", f"{surest:.2f}"]
+            surest = (
+                found.errors[order[: round(0.8 * len(order))]].mean()
+                / found.errors.mean()
+            )
+            cells = [
+                f"{100 / NUM_HYPOTHESES * found.errors.mean():.2f}",
+                f"{surest:.2f}",
+            ]
             for low, high in pairwise(BOUNDS):
                 inside = (found.confidences >= low) & (found.confidences < high)
-                errors, said = found.errors[inside].clamp(max=2).mean(), found.confidences[inside].mean()
-                cells.append(f"{errors:.2f} ({2 - 2 * said:.2f})" if inside.sum() > LEAST_POINTS else "–")
+                errors, said = (
+                    found.errors[inside].clamp(max=2).mean(),
+                    found.confidences[inside].mean(),
+                )
+                cells.append(
+                    f"{errors:.2f} ({2 - 2 * said:.2f})"
+                    if inside.sum() > LEAST_POINTS
+                    else "–"
+                )
             lines.append(f"| {kind} | {' | '.join(cells)} |")
             print(lines[-1], file=sys.stderr, flush=True)
-    ends = [f" {said:.3f} | {learned:.3f} |" for said, learned in calibration_errors(answers)]
-    return "\n".join([*lines[:2], *(line + end for line, end in zip(lines[2:], ends, strict=True))])
+    ends = [
+        f" {said:.3f} | {learned:.3f} |"
+        for said, learned in calibration_errors(answers)
+    ]
+    return "\n".join(
+        [
+            *lines[:2],
+            *(line + end for line, end in zip(lines[2:], ends, strict=True)),
+        ]
+    )
 
 
 def table(name: str | None = None, num_scenes: int = 12) -> str:
@@ -223,7 +283,13 @@ def table(name: str | None = None, num_scenes: int = 12) -> str:
     method = by_sweep if name is None else by_network(pretrained(name))
     level_and_tilted = [measured(method, tilt, num_scenes) for tilt in (0, 30)]
     answers = Answers(*map(torch.cat, zip(*level_and_tilted, strict=True)))
-    return "\n".join([*kept_table(answers), "", *said_table(answers, is_probability=name is None)])
+    return "\n".join(
+        [
+            *kept_table(answers),
+            "",
+            *said_table(answers, is_probability=name is None),
+        ]
+    )
 
 
 if __name__ == "__main__":

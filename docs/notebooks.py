@@ -40,14 +40,24 @@ def notebook(page: Path) -> Any:
     text = page.read_text()
     text = re.sub(r"^```python [^\n]*$", "```python", text, flags=re.M)
     # Command lines are to be read, not run.
-    text = re.sub(r"^```bash\n(.*?)^```$", r"~~~bash\n\1~~~", text, flags=re.M | re.S)
+    text = re.sub(
+        r"^```bash\n(.*?)^```$", r"~~~bash\n\1~~~", text, flags=re.M | re.S
+    )
     # Links to other pages lead nowhere from here: their words stay.
-    text = re.sub(r"\[([^\]\n]*(?:\n[^\]\n]*)?)\]\((?!https?:)[^)\s]*\)", r"\1", text)
+    text = re.sub(
+        r"\[([^\]\n]*(?:\n[^\]\n]*)?)\]\((?!https?:)[^)\s]*\)", r"\1", text
+    )
     text = text.replace("from shown import source\n", SOURCE)
     text = re.sub(r" *# markdown-exec: hide.*$", "", text, flags=re.M)
-    text = text.replace("from shown import html\n", SHOWN).replace("print(html(", "display(html(")
+    text = text.replace("from shown import html\n", SHOWN).replace(
+        "print(html(", "display(html("
+    )
     made = jupytext.reads(text, fmt="md")
-    made.metadata["kernelspec"] = {"display_name": "Python 3", "language": "python", "name": "python3"}
+    made.metadata["kernelspec"] = {
+        "display_name": "Python 3",
+        "language": "python",
+        "name": "python3",
+    }
     return made
 
 

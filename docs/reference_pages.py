@@ -34,7 +34,8 @@ def first_sentence(doc: str | None) -> str:
     # Shapes have bars and brackets that a table or Markdown would take for its own.
     outside = re.split(r"(`[^`]*`)", sentence)
     return "".join(
-        part if part.startswith("`") else re.sub(r"([\[\]*_<])", r"\\\1", part) for part in outside
+        part if part.startswith("`") else re.sub(r"([\[\]*_<])", r"\\\1", part)
+        for part in outside
     ).replace("|", "\\|")
 
 
@@ -43,17 +44,32 @@ def home(module_name: str, name: str) -> str:
     module = importlib.import_module(module_name)
     stub = Path(module.__file__ or "").with_suffix(".pyi")
     for node in ast.parse(stub.read_text()).body if stub.exists() else ():
-        if isinstance(node, ast.ImportFrom) and any(alias.name == name for alias in node.names):
-            inner = f"{module_name}.{node.module}" if node.module else f"{module_name}.{name}"
+        if isinstance(node, ast.ImportFrom) and any(
+            alias.name == name for alias in node.names
+        ):
+            inner = (
+                f"{module_name}.{node.module}"
+                if node.module
+                else f"{module_name}.{name}"
+            )
             return home(inner, name) if node.module else inner
-    return getattr(inspect.getmodule(getattr(module, name)), "__name__", None) or module_name
+    return (
+        getattr(inspect.getmodule(getattr(module, name)), "__name__", None)
+        or module_name
+    )
 
 
 def exported(module_name: str, homes: str | None = None) -> list[str]:
     """Names that a package exports; of some of its files and folders alone, if ``homes`` lists them."""
     names = importlib.import_module(module_name).__all__
-    places = tuple(f"{module_name}.{place.strip()}." for place in (homes or "").split(","))
-    return [name for name in names if homes is None or f"{home(module_name, name)}.".startswith(places)]
+    places = tuple(
+        f"{module_name}.{place.strip()}." for place in (homes or "").split(",")
+    )
+    return [
+        name
+        for name in names
+        if homes is None or f"{home(module_name, name)}.".startswith(places)
+    ]
 
 
 def names_tables(module_name: str, names: list[str]) -> str:
@@ -62,16 +78,24 @@ def names_tables(module_name: str, names: list[str]) -> str:
     themes: dict[str, list[str]] = {}
     for name in names:
         value, place = getattr(package, name), home(module_name, name)
-        described = inspect.isroutine(value) or inspect.isclass(value) or inspect.ismodule(value)
+        described = (
+            inspect.isroutine(value)
+            or inspect.isclass(value)
+            or inspect.ismodule(value)
+        )
         theme = (
-            first_sentence(importlib.import_module(place).__doc__) if described else "Constants and types."
+            first_sentence(importlib.import_module(place).__doc__)
+            if described
+            else "Constants and types."
         )
         address = place if inspect.ismodule(value) else f"{place}.{name}"
         doc = first_sentence(value.__doc__) if described else ""
         themes.setdefault(theme, []).append(f"| [`{name}`](#{address}) | {doc} |")
     parts = [
         f"**{theme.rstrip('.')}**\n\n| name | |\n|---|---|\n" + "\n".join(rows)
-        for theme, rows in sorted(themes.items(), key=lambda item: item[0].startswith("Constants"))
+        for theme, rows in sorted(
+            themes.items(), key=lambda item: item[0].startswith("Constants")
+        )
     ]
     return "\n\n".join(parts)
 
@@ -96,7 +120,9 @@ def on_page_markdown(markdown: str, page: Any, **_: object) -> str:
 
     def block(found: re.Match[str]) -> str:
         names = exported(found[1], found[2])
-        return f"{names_tables(found[1], names)}\n\n{described_names(found[1], names)}"
+        return (
+            f"{names_tables(found[1], names)}\n\n{described_names(found[1], names)}"
+        )
 
     return re.sub(BLOCK, block, markdown, flags=re.M)
 
@@ -104,7 +130,9 @@ def on_page_markdown(markdown: str, page: Any, **_: object) -> str:
 @functools.cache
 def types_of(command: str) -> dict[str, str]:
     """Key -> what may be put in, of a command."""
-    hints = hints_of(importlib.import_module(f"sphericalvision.recipes.{command}").main.keys)
+    hints = hints_of(
+        importlib.import_module(f"sphericalvision.recipes.{command}").main.keys
+    )
     words = {key: expected(hint) for key, hint in hints.items()}
     return {key: text for key, text in words.items() if text != "a value"}
 
@@ -113,7 +141,11 @@ def type_of(key: Key, path: Path) -> str:
     """What may be put in: from the command's types, or else as the default is."""
     if path.parent.name == "conf" and (words := types_of(path.stem).get(key.name)):
         return words
-    value = yaml.safe_load(key.value or "null") if not key.value.startswith(("$", "?")) else None
+    value = (
+        yaml.safe_load(key.value or "null")
+        if not key.value.startswith(("$", "?"))
+        else None
+    )
     words = {
         bool: "true or false",
         int: "a whole number",
@@ -129,7 +161,11 @@ def keys_of_command(command: str) -> str:
     """The file of a command with its keys."""
     text = (ROOT / "conf" / f"{command}.yaml").read_text()
     groups = re.findall(r"^ {2}- (\w+): ", text.partition("defaults:")[2], re.M)
-    links = ", ".join(f"[`{name}`](groups.md#{name})" for name in groups if (ROOT / "conf" / name).is_dir())
+    links = ", ".join(
+        f"[`{name}`](groups.md#{name})"
+        for name in groups
+        if (ROOT / "conf" / name).is_dir()
+    )
     parts = [" ".join(heading(text)), *([f"Groups: {links}."] if links else [])]
     return "\n\n".join([*parts, keys_table(ROOT / "conf" / f"{command}.yaml")])
 
@@ -137,15 +173,21 @@ def keys_of_command(command: str) -> str:
 def keys_of_groups() -> str:
     """Every file of every group with its keys."""
     parts = []
-    for folder in sorted(path for path in (ROOT / "conf").iterdir() if path.is_dir()):
+    for folder in sorted(
+        path for path in (ROOT / "conf").iterdir() if path.is_dir()
+    ):
         files = sorted(folder.glob("*.yaml"))
         parts += [f"## `{folder.name}=…` {{#{folder.name}}}"] if files else []
         for path in files:
             text = path.read_text()
             parts += [f"### `{folder.name}={path.stem}`", " ".join(heading(text))]
-            parents = re.findall(r"^ {2}- (\w+)\s*$", text.partition("defaults:")[2], re.M)
+            parents = re.findall(
+                r"^ {2}- (\w+)\s*$", text.partition("defaults:")[2], re.M
+            )
             if parents := [parent for parent in parents if parent != "_self_"]:
-                parts.append(f"As {', '.join(f'`{parent}`' for parent in parents)}, and:")
+                parts.append(
+                    f"As {', '.join(f'`{parent}`' for parent in parents)}, and:"
+                )
             parts.append(keys_table(path))
     return "\n\n".join(parts)
 
@@ -155,9 +197,14 @@ def keys_table(path: Path) -> str:
     rows = [
         f"| `{key.name}` | {cell(key.value)} | {type_of(key, path)} | {key.comment.replace('|', chr(92) + '|')} |"
         for key in read_keys(path.read_text())
-        if (key.value or key.comment) and not re.search(r"^hydra\b|_partial_$", key.name)
+        if (key.value or key.comment)
+        and not re.search(r"^hydra\b|_partial_$", key.name)
     ]
-    return "| key | default | type | |\n|---|---|---|---|\n" + "\n".join(rows) if rows else ""
+    return (
+        "| key | default | type | |\n|---|---|---|---|\n" + "\n".join(rows)
+        if rows
+        else ""
+    )
 
 
 def cell(value: str) -> str:

@@ -18,9 +18,13 @@ from pathlib import Path
 __all__ = ["readme_for_index", "with_urls"]
 
 ROOT = Path(__file__).resolve().parents[1]
-PICTURE = re.compile(r"^!\[[^\]]*\]\((?!https?:)[^)]*\)\n(?:.+\n)*\n?", re.MULTILINE)
+PICTURE = re.compile(
+    r"^!\[[^\]]*\]\((?!https?:)[^)]*\)\n(?:.+\n)*\n?", re.MULTILINE
+)
 """A picture with the lines below it."""
-RELATIVE = re.compile(r"(?P<image>!?)\[(?P<text>[^\]]*)\]\((?!https?:|mailto:|#)(?P<path>[^)\s]+)\)")
+RELATIVE = re.compile(
+    r"(?P<image>!?)\[(?P<text>[^\]]*)\]\((?!https?:|mailto:|#)(?P<path>[^)\s]+)\)"
+)
 
 
 def readme_for_index(text: str, version: str, url: str | None = None) -> str:
@@ -45,14 +49,20 @@ def with_urls(pyproject: str, version: str, url: str) -> str:
 def main(folder: Path, url: str | None = None) -> None:
     """Copy what a build reads, with the README for an index."""
     if url is not None and not re.fullmatch(r"https://[^\s/\"]+/\S*[^\s/\"]", url):
-        sys.exit(f"URL: expected a repository such as https://github.com/you/sphericalvision, got {url}")
+        sys.exit(
+            f"URL: expected a repository such as https://github.com/you/sphericalvision, got {url}"
+        )
     shutil.rmtree(folder, ignore_errors=True)
     for name in ("sphericalvision", "recipes", "conf"):
-        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(
+            ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__")
+        )
     shutil.copy(ROOT / "LICENSE", folder)
     pyproject = (ROOT / "pyproject.toml").read_text()
     version = tomllib.loads(pyproject)["project"]["version"]
-    (folder / "pyproject.toml").write_text(with_urls(pyproject, version, url) if url else pyproject)
+    (folder / "pyproject.toml").write_text(
+        with_urls(pyproject, version, url) if url else pyproject
+    )
     (folder / "README.md").write_text(
         readme_for_index((ROOT / "README.md").read_text(), version, url or None)
     )

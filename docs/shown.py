@@ -37,7 +37,9 @@ def on_config(config: object) -> None:
 def source(path: str, language: str = "yaml") -> str:
     """A file of this project as a block of code, titled with its name."""
     text = (
-        (Path(__file__).parents[1] / path).read_text().removeprefix("# SPDX-License-Identifier: Apache-2.0\n")
+        (Path(__file__).parents[1] / path)
+        .read_text()
+        .removeprefix("# SPDX-License-Identifier: Apache-2.0\n")
     )
     name = path.removeprefix("tests/plugin/")
     return f'```{language} title="{name}"\n{text}```\n'
@@ -52,18 +54,29 @@ def html(picture: np.ndarray | Figure, alt: str) -> str:
         encoded = data.getvalue()
     else:
         encoded = cv2.imencode(".png", picture[..., ::-1])[1].tobytes()
-    return (
-        f'<img class="picture" alt="{alt}" src="data:image/png;base64,{base64.b64encode(encoded).decode()}">'
-    )
+    return f'<img class="picture" alt="{alt}" src="data:image/png;base64,{base64.b64encode(encoded).decode()}">'
 
 
-BOOSTS = {"how-do-i": 2.0, "tutorials/": 2.0, "getting-started": 2.0, "api/": 0.4, "recipes/keys/": 0.2}
+BOOSTS = {
+    "how-do-i": 2.0,
+    "tutorials/": 2.0,
+    "getting-started": 2.0,
+    "api/": 0.4,
+    "recipes/keys/": 0.2,
+}
 """How much more than others pages count in the search, by how their address begins."""
 
 
 def on_page_markdown(markdown: str, page: Any, **_: object) -> None:
     """Weigh the page for the search."""
-    boost = next((value for start, value in BOOSTS.items() if page.file.src_uri.startswith(start)), 1.0)
+    boost = next(
+        (
+            value
+            for start, value in BOOSTS.items()
+            if page.file.src_uri.startswith(start)
+        ),
+        1.0,
+    )
     page.meta.setdefault("search", {}).setdefault("boost", boost)
 
 
@@ -71,7 +84,8 @@ def on_page_markdown(markdown: str, page: Any, **_: object) -> None:
 def on_page_content(content: str, page: Any, **_: object) -> str:
     """The source of a function is no text that one searches; a wide table scrolls beside its first column."""
     return content.replace(
-        '<details class="mkdocstrings-source"', '<details data-search-exclude class="mkdocstrings-source"'
+        '<details class="mkdocstrings-source"',
+        '<details data-search-exclude class="mkdocstrings-source"',
     )
 
 
@@ -92,4 +106,8 @@ def on_post_page(output: str, page: Any, config: Any) -> str:
         return f'{match[1]}="{place}"'
 
     # Named attributes: a pattern of any name would be tried at each letter of the data.
-    return re.sub(r'\b(src|xlink:href|href)="data:image/png;base64,([^"]{1500,})"', file, output)
+    return re.sub(
+        r'\b(src|xlink:href|href)="data:image/png;base64,([^"]{1500,})"',
+        file,
+        output,
+    )

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import re
 import subprocess
@@ -13,7 +14,10 @@ import pytest
 import torch
 import yaml
 
-from tests.documented import PAGES, ROOT, visible_python
+from tests.documented import FENCE, HIDDEN, PAGES, ROOT, visible_python
+
+BLOCK_WIDTH = 84
+"""Letters of a line of code that a window of 1280 pixels shows."""
 
 
 @pytest.mark.usefixtures("copied_registries")
@@ -31,6 +35,34 @@ def test_python_of_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.Mon
         if title.endswith(".py"):  # a file that a command line of the page takes, and tries
             continue
         exec(compile(source, f"{page.name}, block {number}", "exec"), namespace)
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs").rglob("*.md")), ids=lambda page: page.stem)
+def test_blocks_of_a_page_fit_into_a_window(page: Path) -> None:
+    wide = []
+    for match in FENCE.finditer(page.read_text()):
+        if 'exec="true"' in match["info"] and "source=" not in match["info"]:
+            continue  # nobody sees it
+        lines = (line[len(match["indent"]) :] for line in match["body"].splitlines() if HIDDEN not in line)
+        wide += [line for line in lines if len(line) > BLOCK_WIDTH]
+    assert not wide
+
+
+def test_shapes_in_docstrings_are_no_emphasis(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Markdown takes "(*, 3) of points (*, 3)" for emphasis, and its stars are gone."""
+    convert = pytest.importorskip("markdown").Markdown().convert
+    pytest.importorskip("griffe")
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    import shapes
+
+    def eaten(text: str) -> bool:
+        parts = re.split(r"\n\s*\n|\n(?=\s+\w+: )", text)
+        return any("(*" in p and re.search("<(em|strong)>[,) ]", convert(inspect.cleandoc(p))) for p in parts)
+
+    assert eaten("Pixels (*, 2) of ``points`` (*, 3).")
+    for file in (ROOT / "sphericalvision").rglob("*.py"):
+        for doc in re.findall(r'"""(.*?)"""', file.read_text(), re.DOTALL):
+            assert not eaten(shapes.as_code(doc.partition("Examples:")[0])), (file, doc)
 
 
 def test_every_page_is_in_the_navigation() -> None:

@@ -71,11 +71,21 @@ def to_html(figure: Figure, alt: str, caption: str = "") -> str:
     figure.savefig(text, format="svg")
     plt.close(figure)
     svg = text.getvalue()
-    svg = re.sub(r"<metadata>.*?</metadata>", "", svg[svg.index("<svg") :], flags=re.DOTALL)
-    svg = re.sub(r"font-family: [^;\"]*", "font-family: inherit", svg.replace(INK, "currentColor"))
-    svg = re.sub(r"font: ([\d.]+px) [^;\"]*", r"font-size: \1; font-family: inherit", svg)
+    svg = re.sub(
+        r"<metadata>.*?</metadata>", "", svg[svg.index("<svg") :], flags=re.DOTALL
+    )
+    svg = re.sub(
+        r"font-family: [^;\"]*",
+        "font-family: inherit",
+        svg.replace(INK, "currentColor"),
+    )
+    svg = re.sub(
+        r"font: ([\d.]+px) [^;\"]*", r"font-size: \1; font-family: inherit", svg
+    )
     alt = html.escape(alt)
-    svg = svg.replace("<svg", f'<svg class="drawing" role="img" aria-label="{alt}"', 1)
+    svg = svg.replace(
+        "<svg", f'<svg class="drawing" role="img" aria-label="{alt}"', 1
+    )
     svg = re.sub(r"(<svg[^>]*>)", rf"\1<title>{alt}</title>", svg, count=1)
     below = f"<figcaption>{caption}</figcaption>" if caption else ""
     return f"<figure>{svg}{below}</figure>"

@@ -35,16 +35,36 @@ def _models() -> dict[str, Any]:
     widest = math.radians(140)
     return {
         "pinhole": PinholeCamera(one, middle, SIZE),
-        "Brown-Conrady, k₁ = −0.1": BrownConradyCamera(one, middle, [-0.1, 0.0, 0.0, 0.0], SIZE),
-        "equidistant": FisheyeCamera("equidistant", torch.tensor(FOCAL), torch.zeros(2), SIZE, widest),
-        "equisolid": FisheyeCamera("equisolid", torch.tensor(FOCAL), torch.zeros(2), SIZE, widest),
-        "stereographic": FisheyeCamera("stereographic", torch.tensor(FOCAL), torch.zeros(2), SIZE, widest),
-        "orthographic": FisheyeCamera("orthographic", torch.tensor(FOCAL), torch.zeros(2), SIZE, math.pi / 2),
-        "Kannala-Brandt, k₁ = −0.03": KannalaBrandtCamera(one, middle, [-0.03, 0.0, 0.0, 0.0], SIZE, widest),
-        "unified, ξ = 1.2": UnifiedCamera([2.2 * FOCAL] * 2, middle, 1.2, None, SIZE),
-        "extended unified, α = 0.6, β = 1.1": ExtendedUnifiedCamera(one, middle, 0.6, 1.1, SIZE),
-        "double sphere, ξ = −0.2, α = 0.6": DoubleSphereCamera([0.8 * FOCAL] * 2, middle, -0.2, 0.6, SIZE),
-        "angle polynomial, k₂ = 0.05": AnglePolynomialCamera(one, middle, [0.0, 0.05], SIZE),
+        "Brown-Conrady, k₁ = −0.1": BrownConradyCamera(
+            one, middle, [-0.1, 0.0, 0.0, 0.0], SIZE
+        ),
+        "equidistant": FisheyeCamera(
+            "equidistant", torch.tensor(FOCAL), torch.zeros(2), SIZE, widest
+        ),
+        "equisolid": FisheyeCamera(
+            "equisolid", torch.tensor(FOCAL), torch.zeros(2), SIZE, widest
+        ),
+        "stereographic": FisheyeCamera(
+            "stereographic", torch.tensor(FOCAL), torch.zeros(2), SIZE, widest
+        ),
+        "orthographic": FisheyeCamera(
+            "orthographic", torch.tensor(FOCAL), torch.zeros(2), SIZE, math.pi / 2
+        ),
+        "Kannala-Brandt, k₁ = −0.03": KannalaBrandtCamera(
+            one, middle, [-0.03, 0.0, 0.0, 0.0], SIZE, widest
+        ),
+        "unified, ξ = 1.2": UnifiedCamera(
+            [2.2 * FOCAL] * 2, middle, 1.2, None, SIZE
+        ),
+        "extended unified, α = 0.6, β = 1.1": ExtendedUnifiedCamera(
+            one, middle, 0.6, 1.1, SIZE
+        ),
+        "double sphere, ξ = −0.2, α = 0.6": DoubleSphereCamera(
+            [0.8 * FOCAL] * 2, middle, -0.2, 0.6, SIZE
+        ),
+        "angle polynomial, k₂ = 0.05": AnglePolynomialCamera(
+            one, middle, [0.0, 0.05], SIZE
+        ),
         "ATAN, ω = 0.9": AtanCamera(one, middle, 0.9, SIZE),
         "division, λ₁ = −0.25": DivisionCamera(one, middle, [-0.25], SIZE),
     }
@@ -89,15 +109,28 @@ def coverage() -> str:
     colors = ListedColormap(["#3b3f46", "#b9c2ca", CHARTS[1], CHARTS[0], CHARTS[2]])
     panorama = Equirectangular(120, 240)
     for k, (title, view, tilt) in enumerate(
-        (("220°, level", 220, 0), ("220°, tilted by 30°", 220, 30), ("185°, level", 185, 0))
+        (
+            ("220°, level", 220, 0),
+            ("220°, tilted by 30°", 220, 30),
+            ("185°, level", 185, 0),
+        )
     ):
-        rig = ring_rig(4, 0.2, field_of_view=math.radians(view)).rotated(tilt=math.radians(tilt))
-        seen = rig.points_seen(panorama.directions.reshape(-1, 3), torch.tensor([1 / 3]))
+        rig = ring_rig(4, 0.2, field_of_view=math.radians(view)).rotated(
+            tilt=math.radians(tilt)
+        )
+        seen = rig.points_seen(
+            panorama.directions.reshape(-1, 3), torch.tensor([1 / 3])
+        )
         count = seen[:, 0].sum(0).reshape(panorama.shape)
         axes = bare_axes(figure, (0.335 * k, 0.2, 0.325, 0.72), title)
-        picture = axes.imshow(count, cmap=colors, vmin=-0.5, vmax=4.5, interpolation="nearest")
+        picture = axes.imshow(
+            count, cmap=colors, vmin=-0.5, vmax=4.5, interpolation="nearest"
+        )
     bar = figure.colorbar(
-        picture, cax=figure.add_axes((0.3, 0.2, 0.4, 0.04)), orientation="horizontal", ticks=range(5)
+        picture,
+        cax=figure.add_axes((0.3, 0.2, 0.4, 0.04)),
+        orientation="horizontal",
+        ticks=range(5),
     )
     bar.outline.set_visible(False)
     bar.set_label("cameras that see a point 3 m away", fontsize=9)

@@ -18,14 +18,24 @@ from sphericalvision.icosphere import Icosphere
 __all__ = ["draw_sphere", "interpolation", "levels", "seen_from", "vertex_order"]
 
 
-def seen_from(points: torch.Tensor, elevation_deg: float = 28.0, turn_deg: float = 20.0) -> np.ndarray:
+def seen_from(
+    points: torch.Tensor, elevation_deg: float = 28.0, turn_deg: float = 20.0
+) -> np.ndarray:
     """Orthographic view: ``(*, 3)`` of right, up and towards the reader."""
     turn, tilt = math.radians(turn_deg), math.radians(elevation_deg)
     x, y, z = points.double().unbind(-1)
-    right, away = x * math.cos(turn) + z * math.sin(turn), z * math.cos(turn) - x * math.sin(turn)
+    right, away = (
+        x * math.cos(turn) + z * math.sin(turn),
+        z * math.cos(turn) - x * math.sin(turn),
+    )
     up = -y  # y points down
     return torch.stack(
-        [right, up * math.cos(tilt) + away * math.sin(tilt), up * math.sin(tilt) - away * math.cos(tilt)], -1
+        [
+            right,
+            up * math.cos(tilt) + away * math.sin(tilt),
+            up * math.sin(tilt) - away * math.cos(tilt),
+        ],
+        -1,
     ).numpy()
 
 
@@ -43,7 +53,10 @@ def draw_sphere(axes: Axes, level: int, elevation_deg: float = 28.0) -> np.ndarr
     colors = np.array([to_rgb(CHARTS[c]) for c in chart]) * light[:, None]
     axes.add_collection(
         PolyCollection(
-            list(corners[front][..., :2]), facecolors=colors[front], edgecolors="white", linewidths=0.5
+            list(corners[front][..., :2]),
+            facecolors=colors[front],
+            edgecolors="white",
+            linewidths=0.5,
         )
     )
     axes.set(xlim=(-1.08, 1.08), ylim=(-1.08, 1.08))
@@ -55,7 +68,9 @@ def levels() -> str:
     figure = new_figure(8.6, 2.5)
     for level in range(4):
         axes = bare_axes(figure, (0.25 * level + 0.01, 0.0, 0.23, 0.86))
-        axes.set_title(f"level {level}: {Icosphere(level).num_vertices} vertices", fontsize=9.5)
+        axes.set_title(
+            f"level {level}: {Icosphere(level).num_vertices} vertices", fontsize=9.5
+        )
         draw_sphere(axes, level)
     return to_html(
         figure,
@@ -68,23 +83,53 @@ def vertex_order() -> str:
     """One chart at levels 0 to 2, its vertices by number, new ones marked."""
     figure = new_figure(8.6, 4.0)
     for level in range(3):
-        axes = bare_axes(figure, (0.33 * level + 0.01, 0.02, 0.31, 0.86), f"level {level}")
-        ids = to_crown(torch.arange(Icosphere(level).num_vertices)[None, None].float()).col[0, 0, 0].int()
+        axes = bare_axes(
+            figure, (0.33 * level + 0.01, 0.02, 0.31, 0.86), f"level {level}"
+        )
+        ids = (
+            to_crown(
+                torch.arange(Icosphere(level).num_vertices)[None, None].float()
+            )
+            .col[0, 0, 0]
+            .int()
+        )
         n = 2**level
         for i in range(2 * n + 1):
             for j in range(n + 1):
                 for di, dj in ((1, 0), (0, 1), (-1, 1)):
                     if 0 <= i + di <= 2 * n and j + dj <= n:
-                        axes.plot([j, j + dj], [-i, -i - di], color=FAINT, linewidth=0.8, zorder=1)
+                        axes.plot(
+                            [j, j + dj],
+                            [-i, -i - di],
+                            color=FAINT,
+                            linewidth=0.8,
+                            zorder=1,
+                        )
                 old = i % 2 == 0 and j % 2 == 0
                 owned = (0 < i <= 2 * n and j < n) or (i, j) in ((0, 0), (2 * n, n))
                 color = CHARTS[0] if owned else "none"
-                axes.scatter(j, -i, s=200 / (level + 1), color=color, edgecolor=FAINT, zorder=2)
+                axes.scatter(
+                    j,
+                    -i,
+                    s=200 / (level + 1),
+                    color=color,
+                    edgecolor=FAINT,
+                    zorder=2,
+                )
                 weight = "bold" if old and level else "normal"
                 axes.text(
-                    j, -i, str(int(ids[i, j])), ha="center", va="center", fontsize=8.5 - level, weight=weight
+                    j,
+                    -i,
+                    str(int(ids[i, j])),
+                    ha="center",
+                    va="center",
+                    fontsize=8.5 - level,
+                    weight=weight,
                 )
-        axes.set(xlim=(-0.3 * n - 0.4, 1.3 * n + 0.4), ylim=(-2.15 * n - 0.3, 0.15 * n + 0.3))
+        axes.set(
+            xlim=(-0.3 * n - 0.4, 1.3 * n + 0.4),
+            ylim=(-2.15 * n - 0.3, 0.15 * n + 0.3),
+        )
     return to_html(
         figure,
         "Vertices of the first chart at levels 0, 1 and 2 as grids of numbers",
@@ -101,11 +146,17 @@ def interpolation() -> str:
     axes = bare_axes(figure, (0.02, 0.02, 0.36, 0.96))
     view = draw_sphere(axes, 1)
     ico = Icosphere(1)
-    direction = torch.nn.functional.normalize(torch.tensor([0.35, -0.45, -0.4]), dim=0)
+    direction = torch.nn.functional.normalize(
+        torch.tensor([0.35, -0.45, -0.4]), dim=0
+    )
     ids, weights = ico.locate(direction[None])
     spot = seen_from(direction)
     corners = view[ids[0].numpy()]
-    axes.add_collection(PolyCollection([corners[:, :2]], facecolors="none", edgecolors=INK, linewidths=1.8))
+    axes.add_collection(
+        PolyCollection(
+            [corners[:, :2]], facecolors="none", edgecolors=INK, linewidths=1.8
+        )
+    )
     axes.scatter(*spot[:2], color="white", edgecolor=INK, s=28, zorder=4)
     near = bare_axes(figure, (0.42, 0.04, 0.26, 0.92))
     flat = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, math.sqrt(0.75)]])
@@ -113,10 +164,17 @@ def interpolation() -> str:
     for k in range(3):
         rest = [flat[m] for m in range(3) if m != k]
         near.add_collection(
-            PolyCollection([np.array([inside, *rest])], facecolors=CHARTS[k], alpha=0.55, edgecolors="white")
+            PolyCollection(
+                [np.array([inside, *rest])],
+                facecolors=CHARTS[k],
+                alpha=0.55,
+                edgecolors="white",
+            )
         )
         away = flat[k] + np.array([0.0, 0.13 if k == 2 else -0.16])
-        near.text(*away, f"$w_{k + 1}$ = {weights[0, k]:.2f}", ha="center", va="center")
+        near.text(
+            *away, f"$w_{k + 1}$ = {weights[0, k]:.2f}", ha="center", va="center"
+        )
         near.scatter(*flat[k], color=CHARTS[k], s=70, zorder=3, edgecolor="white")
     near.scatter(*inside, color="white", edgecolor=INK, s=50, zorder=4)
     near.set(xlim=(-0.25, 1.25), ylim=(-0.2, 1.1))

@@ -23,7 +23,15 @@ from sphericalvision.sphere import Equirectangular, resample
 from sphericalvision.sweep import index_from_depth
 from sphericalvision.viz import rgb_panorama
 
-__all__ = ["Result", "confidence", "failures", "hero", "reliability", "result", "scene_images"]
+__all__ = [
+    "Result",
+    "confidence",
+    "failures",
+    "hero",
+    "reliability",
+    "result",
+    "scene_images",
+]
 
 PANORAMA = Equirectangular(180, 360)
 #: Scenes in which the network errs most, and why.
@@ -49,10 +57,14 @@ class Result(NamedTuple):
 
 
 @functools.cache
-def scene_images(kind: str, seed: int) -> tuple[CameraRig, dict[str, Tensor], Tensor]:
+def scene_images(
+    kind: str, seed: int
+) -> tuple[CameraRig, dict[str, Tensor], Tensor]:
     """The rig, its photographs, and these on the network's icosphere, ``(1, 4, 3, V)``."""
     rig = ring_rig(4, 0.2, image_size=(400, 400))
-    pictures = render_rig(make_scene(kind, 10_100_000 + seed), rig, samples_per_pixel=2)
+    pictures = render_rig(
+        make_scene(kind, 10_100_000 + seed), rig, samples_per_pixel=2
+    )
     return rig, pictures, ToSphere(6).images(pictures, rig)[None]
 
 
@@ -89,29 +101,56 @@ def draw_fisheyes(axes: Axes, pictures: dict[str, Tensor]) -> None:
     side = image.shape[0] // 2
     place = (torch.arange(side) - (side - 1) / 2) / (side / 2)
     circle = (place[:, None] ** 2 + place**2 < 1).float().repeat(2, 2)
-    axes.imshow(torch.cat([image, circle[..., None]], -1).clamp(0, 1), interpolation="antialiased")
+    axes.imshow(
+        torch.cat([image, circle[..., None]], -1).clamp(0, 1),
+        interpolation="antialiased",
+    )
 
 
 def draw_cloud(axes: Axes, shown: Result) -> None:
     """Points of the depth map from above and behind, without the ceiling."""
     points = (PANORAMA.directions * shown.depth[..., None]).reshape(-1, 3).numpy()
     colors = shown.colors.movedim(0, -1).reshape(-1, 3).clamp(0, 1).numpy()
-    kept = (points[:, 1] > -0.6) & (np.abs(points).max(1) < 6) & (shown.confidence.reshape(-1) > 0.5).numpy()
+    kept = (
+        (points[:, 1] > -0.6)
+        & (np.abs(points).max(1) < 6)
+        & (shown.confidence.reshape(-1) > 0.5).numpy()
+    )
     turn, tilt = np.radians(35), np.radians(38)
     x, y, z = points[kept].T
-    right, away = x * np.cos(turn) - z * np.sin(turn), x * np.sin(turn) + z * np.cos(turn)
-    up, towards = -y * np.cos(tilt) + away * np.sin(tilt), -y * np.sin(tilt) - away * np.cos(tilt)
+    right, away = (
+        x * np.cos(turn) - z * np.sin(turn),
+        x * np.sin(turn) + z * np.cos(turn),
+    )
+    up, towards = (
+        -y * np.cos(tilt) + away * np.sin(tilt),
+        -y * np.sin(tilt) - away * np.cos(tilt),
+    )
     order = towards.argsort()
-    axes.scatter(right[order], up[order], c=colors[kept][order], s=1.6, linewidths=0, rasterized=True)
+    axes.scatter(
+        right[order],
+        up[order],
+        c=colors[kept][order],
+        s=1.6,
+        linewidths=0,
+        rasterized=True,
+    )
 
 
 def hero() -> str:
     """Input, depth and points of one scene."""
     shown = result()
     figure = new_figure(8.8, 5.3)
-    draw_fisheyes(bare_axes(figure, (0.0, 0.47, 0.3, 0.47), "four 220° fisheye images"), shown.pictures)
-    axes = bare_axes(figure, (0.32, 0.47, 0.68, 0.47), "estimated depth, all around")
-    axes.imshow(shown.index, cmap="turbo", vmin=0, vmax=max(4.0, float(shown.index.max())))
+    draw_fisheyes(
+        bare_axes(figure, (0.0, 0.47, 0.3, 0.47), "four 220° fisheye images"),
+        shown.pictures,
+    )
+    axes = bare_axes(
+        figure, (0.32, 0.47, 0.68, 0.47), "estimated depth, all around"
+    )
+    axes.imshow(
+        shown.index, cmap="turbo", vmin=0, vmax=max(4.0, float(shown.index.max()))
+    )
     axes = bare_axes(figure, (0.0, 0.0, 0.46, 0.43))
     axes.imshow(shown.colors.movedim(0, -1).clamp(0, 1))
     axes = bare_axes(figure, (0.47, -0.03, 0.53, 0.47))
@@ -132,7 +171,10 @@ def confidence() -> str:
     error = (shown.index - shown.true_index).abs()
     figure = new_figure(8.8, 2.6)
     for k, (values, title, most, colors) in enumerate(
-        [(error, "error, hypotheses", 2.0, "magma"), (shown.confidence, "confidence", 1.0, "gray")]
+        [
+            (error, "error, hypotheses", 2.0, "magma"),
+            (shown.confidence, "confidence", 1.0, "gray"),
+        ]
     ):
         axes = bare_axes(figure, (0.355 * k, 0.02, 0.345, 0.86), title)
         axes.imshow(values, cmap=colors, vmin=0, vmax=most)
@@ -141,7 +183,12 @@ def confidence() -> str:
     weights = PANORAMA.solid_angles.flatten()[order]
     mean = (error.flatten()[order] * weights).cumsum(0) / weights.cumsum(0)
     axes.plot(100 * weights.cumsum(0) / weights.sum(), mean, color=MARK)
-    axes.set(xlabel="kept, % of the sphere", ylabel="mean error", ylim=(0, None), xlim=(0, 100))
+    axes.set(
+        xlabel="kept, % of the sphere",
+        ylabel="mean error",
+        ylim=(0, None),
+        xlim=(0, 100),
+    )
     return to_html(
         figure,
         "Error and confidence as panoramas, and the mean error of the surest share of all points",
@@ -152,17 +199,31 @@ def confidence() -> str:
 
 def reliability() -> str:
     """Expected against real errors by kind of scene, from the table in the guide."""
-    page = Path(__file__).parent.parent.joinpath("guide", "refinedsweepnet.md").read_text()
+    page = (
+        Path(__file__)
+        .parent.parent.joinpath("guide", "refinedsweepnet.md")
+        .read_text()
+    )
     figure = new_figure(4.2, 3.4)
     axes = figure.add_axes((0.15, 0.15, 0.8, 0.82))
     axes.plot((0, 2), (0, 2), color=FAINT, linestyle="--")
     for kind, cells in re.findall(r"^\| (\w+) \|(.*\(.*)\|$", page, re.MULTILINE):
-        points = [(float(so), float(said)) for so, said in re.findall(r"([\d.]+) \(([\d.]+)\)", cells)]
+        points = [
+            (float(so), float(said))
+            for so, said in re.findall(r"([\d.]+) \(([\d.]+)\)", cells)
+        ]
         so, said = zip(*points, strict=True)
-        marks = {"color": MARK, "linewidth": 2.5} if kind == "meshes" else {"linewidth": 1.0}
+        marks = (
+            {"color": MARK, "linewidth": 2.5}
+            if kind == "meshes"
+            else {"linewidth": 1.0}
+        )
         axes.plot(said, so, marker="o", markersize=3, label=kind, **marks)
     axes.set(
-        xlabel="error that the confidence says, hypotheses", ylabel="mean error", xlim=(0, 2), ylim=(0, 2)
+        xlabel="error that the confidence says, hypotheses",
+        ylabel="mean error",
+        xlim=(0, 2),
+        ylim=(0, 2),
     )
     axes.legend(fontsize=8, frameon=False, ncols=2)
     return to_html(
@@ -188,7 +249,9 @@ def failures() -> str:
             (error, "magma", 4.0, "error"),
         ]
         for k, (values, colors, most, title) in enumerate(pictures):
-            axes = bare_axes(figure, (0.25 * k + 0.003, bottom, 0.244, height * 0.84))
+            axes = bare_axes(
+                figure, (0.25 * k + 0.003, bottom, 0.244, height * 0.84)
+            )
             axes.set_title(title, fontsize=9)
             axes.imshow(values, cmap=colors, vmin=0, vmax=most)
     return to_html(

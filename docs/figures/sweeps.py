@@ -35,20 +35,43 @@ def geometry() -> str:
     truth = 1
     for number, depth in enumerate(depths):
         axes.add_patch(
-            Circle((0, 0), depth, fill=False, edgecolor=FAINT, linewidth=0.9, linestyle=(0, (4, 3)))
+            Circle(
+                (0, 0),
+                depth,
+                fill=False,
+                edgecolor=FAINT,
+                linewidth=0.9,
+                linestyle=(0, (4, 3)),
+            )
         )
         place = math.radians(118 if number else 100)
         label = f"$d_{number + 1}$"
         axes.text(
-            depth * math.cos(place), depth * math.sin(place), label, ha="center", va="bottom", fontsize=9
+            depth * math.cos(place),
+            depth * math.sin(place),
+            label,
+            ha="center",
+            va="bottom",
+            fontsize=9,
         )
     axes.plot([0, 5 * ray[0]], [0, 5 * ray[1]], color=INK, linewidth=1.2)
     surface = depths[truth] * ray
     along = np.linspace(-0.75, 0.75, 40)
     axes.plot(
-        surface[0] + along, surface[1] + 0.12 * np.sin(3 * along), color=CHARTS[0], linewidth=4, alpha=0.85
+        surface[0] + along,
+        surface[1] + 0.12 * np.sin(3 * along),
+        color=CHARTS[0],
+        linewidth=4,
+        alpha=0.85,
     )
-    axes.text(surface[0] + 0.85, surface[1] + 0.1, "surface", color=CHARTS[0], ha="left", va="center")
+    axes.text(
+        surface[0] + 0.85,
+        surface[1] + 0.1,
+        "surface",
+        color=CHARTS[0],
+        ha="left",
+        va="center",
+    )
     for k, camera in enumerate(cameras):
         for number, depth in enumerate(depths):
             point = depth * ray
@@ -60,7 +83,9 @@ def geometry() -> str:
                 linewidth=1.9 if agree else 0.8,
                 zorder=3 if agree else 1,
             )
-        axes.add_patch(Circle(camera, 0.17, facecolor=CHARTS[1], edgecolor=INK, zorder=4))
+        axes.add_patch(
+            Circle(camera, 0.17, facecolor=CHARTS[1], edgecolor=INK, zorder=4)
+        )
         axes.text(camera[0], camera[1] - 0.42, f"camera {k + 1}", ha="center")
     for depth in depths:
         axes.scatter(*(depth * ray), s=34, color="white", edgecolor=INK, zorder=5)
@@ -75,7 +100,12 @@ def geometry() -> str:
         agreement,
         color=[MARK if n == truth else CHARTS[2] for n in range(len(depths))],
     )
-    chart.set(xlabel="hypothesis", ylim=(0, 1), xticks=range(1, len(depths) + 1), yticks=[])
+    chart.set(
+        xlabel="hypothesis",
+        ylim=(0, 1),
+        xticks=range(1, len(depths) + 1),
+        yticks=[],
+    )
     chart.set_xticklabels([f"$d_{n}$" for n in range(1, len(depths) + 1)])
     chart.set_title("do the cameras see the same?")
     return to_html(
@@ -97,31 +127,64 @@ def probabilities() -> str:
         fused = net.fuse(clues, images, seen, tables.offsets)
     scene = make_scene("room", 10_100_011)
     truth = index_from_depth(
-        ray_depth(scene, rig.center, Icosphere(net.level - 1).vertices), 16, net.min_depth
+        ray_depth(scene, rig.center, Icosphere(net.level - 1).vertices),
+        16,
+        net.min_depth,
     )
     tried = np.arange(clues.cost.shape[1]) / 2
     prior = clues.prior
     while prior.shape[-1] < clues.cost.shape[-1]:
         prior = icosphere_upsample(prior)
-    sweep, prior, both = (values.softmax(1)[0] for values in (-SHARPNESS * clues.cost, prior, fused.logits))
+    sweep, prior, both = (
+        values.softmax(1)[0]
+        for values in (-SHARPNESS * clues.cost, prior, fused.logits)
+    )
     answers = two_modes(fused.logits)
-    second = both.where(torch.from_numpy(np.abs(tried[:, None] - answers[0].numpy())) > 1.5, 0.0).amax(0)
+    second = both.where(
+        torch.from_numpy(np.abs(tried[:, None] - answers[0].numpy())) > 1.5, 0.0
+    ).amax(0)
     off = (answers[0][0] - truth).abs()
     places = {
         "texture: the sweep knows": (sweep.amax(0) - off).argmax(),
-        "bare wall: the prior knows": (both.amax(0) - 3 * sweep.amax(0) - 4 * off).argmax(),
-        "edge: two answers": (second - 0.3 * (answers[0][0] - answers[1][0]).abs().sub(4).abs()).argmax(),
+        "bare wall: the prior knows": (
+            both.amax(0) - 3 * sweep.amax(0) - 4 * off
+        ).argmax(),
+        "edge: two answers": (
+            second - 0.3 * (answers[0][0] - answers[1][0]).abs().sub(4).abs()
+        ).argmax(),
     }
     figure = new_figure(8.8, 2.6)
     for k, (title, vertex) in enumerate(places.items()):
         axes = figure.add_axes((0.03 + 0.33 * k, 0.2, 0.29, 0.66))
         axes.set_title(title)
-        axes.fill_between(tried, both[:, vertex], color=MARK, alpha=0.35, linewidth=0, label="fused")
+        axes.fill_between(
+            tried,
+            both[:, vertex],
+            color=MARK,
+            alpha=0.35,
+            linewidth=0,
+            label="fused",
+        )
         axes.plot(tried, sweep[:, vertex], color=CHARTS[0], label="sweep")
-        axes.plot(np.arange(prior.shape[0]), prior[:, vertex], color=CHARTS[2], label="prior")
-        axes.axvline(float(truth[vertex]), color=INK, linewidth=1, linestyle=":", label="truth")
+        axes.plot(
+            np.arange(prior.shape[0]),
+            prior[:, vertex],
+            color=CHARTS[2],
+            label="prior",
+        )
+        axes.axvline(
+            float(truth[vertex]),
+            color=INK,
+            linewidth=1,
+            linestyle=":",
+            label="truth",
+        )
         axes.set(
-            xlabel="index of the hypothesis", xticks=range(0, 16, 5), yticks=[], xlim=(0, 15), ylim=(0, None)
+            xlabel="index of the hypothesis",
+            xticks=range(0, 16, 5),
+            yticks=[],
+            xlim=(0, 15),
+            ylim=(0, None),
         )
         if k == 0:
             axes.legend(loc="upper right", fontsize=9)

@@ -29,7 +29,9 @@ def panorama_views() -> str:
     """A panorama, a fisheye and pinhole views cut from it."""
     panorama = Equirectangular(240, 480)
     camera = EquirectangularCamera((240, 480))
-    picture = render_camera(make_scene("room", 10_100_007), camera, torch.eye(4), samples_per_pixel=2)
+    picture = render_camera(
+        make_scene("room", 10_100_007), camera, torch.eye(4), samples_per_pixel=2
+    )
     figure = new_figure(8.8, 4.2)
     axes = bare_axes(figure, (0.0, 0.4, 0.62, 0.55), "a panorama")
     axes.imshow(picture.movedim(0, -1))
@@ -37,11 +39,16 @@ def panorama_views() -> str:
     axes = bare_axes(figure, (0.66, 0.4, 0.33, 0.55), "a 200° fisheye")
     axes.imshow(resample(picture, panorama, lens).movedim(0, -1).clamp(0, 1))
     views = [(math.radians(yaw), 0.0, 0.0) for yaw in YAWS]
-    for k, image in enumerate(perspective_views(picture, views, math.radians(75), (160, 200))):
+    for k, image in enumerate(
+        perspective_views(picture, views, math.radians(75), (160, 200))
+    ):
         axes = bare_axes(figure, (0.25 * k, 0.0, 0.243, 0.33))
         axes.set_title(f"pinhole, {YAWS[k]}° to the right", fontsize=9)
         axes.imshow(image.movedim(0, -1).clamp(0, 1))
-    return to_html(figure, "A panorama of a room, and a fisheye and four perspective views cut from it")
+    return to_html(
+        figure,
+        "A panorama of a room, and a fisheye and four perspective views cut from it",
+    )
 
 
 def resampling_modes() -> str:
@@ -56,8 +63,17 @@ def resampling_modes() -> str:
     figure = new_figure(8.8, 2.7)
     for k, mode in enumerate(("nearest", "bilinear", "bicubic", "area")):
         for row, target in enumerate((finer, coarser)):
-            axes = bare_axes(figure, (0.252 * k, 0.46 - 0.46 * row, 0.243, 0.45), "" if row else mode)
-            axes.imshow(remap(wall, source, target, mode=mode)[0], cmap="gray", vmin=0.15, vmax=0.85)
+            axes = bare_axes(
+                figure,
+                (0.252 * k, 0.46 - 0.46 * row, 0.243, 0.45),
+                "" if row else mode,
+            )
+            axes.imshow(
+                remap(wall, source, target, mode=mode)[0],
+                cmap="gray",
+                vmin=0.15,
+                vmax=0.85,
+            )
     return to_html(
         figure,
         "One photograph resampled to a finer and to a coarser grid by four modes",
@@ -78,7 +94,19 @@ def scenes() -> str:
     for k, kind in enumerate(kinds):
         scene, place = make_scene(kind, seed=3), k / len(kinds)
         axes = bare_axes(figure, (place, 0.36, 0.98 / len(kinds), 0.52), kind)
-        axes.imshow(render_camera(scene, camera, torch.eye(4), samples_per_pixel=2).permute(1, 2, 0))
+        axes.imshow(
+            render_camera(scene, camera, torch.eye(4), samples_per_pixel=2).permute(
+                1, 2, 0
+            )
+        )
         axes = bare_axes(figure, (place, 0.0, 0.98 / len(kinds), 0.34))
-        axes.imshow(1 / ray_depth(scene, torch.zeros(3), panorama.directions), cmap="turbo", vmin=0, vmax=1.8)
-    return to_html(figure, "A fisheye image and the depth all around for each kind of rendered scene")
+        axes.imshow(
+            1 / ray_depth(scene, torch.zeros(3), panorama.directions),
+            cmap="turbo",
+            vmin=0,
+            vmax=1.8,
+        )
+    return to_html(
+        figure,
+        "A fisheye image and the depth all around for each kind of rendered scene",
+    )

@@ -38,16 +38,26 @@ class DepthNode(Node):
 
     def __init__(self) -> None:
         super().__init__("sphericalvision_depth")
-        calibration = self.declare_parameter("calibration", "capture/config.yaml").value
+        calibration = self.declare_parameter(
+            "calibration", "capture/config.yaml"
+        ).value
         level = self.declare_parameter(
             "level", 5
         ).value  # of the icosphere: 6 is finer, at three times the cost
-        near = self.declare_parameter("min_depth", 0.0).value  # metres; 0: as the first images ask for
-        tolerance = self.declare_parameter("tolerance", 0.02).value  # seconds between images of one moment
+        near = self.declare_parameter(
+            "min_depth", 0.0
+        ).value  # metres; 0: as the first images ask for
+        tolerance = self.declare_parameter(
+            "tolerance", 0.02
+        ).value  # seconds between images of one moment
         self.rows = self.declare_parameter("rows", 160).value  # of the panorama
-        self.min_confidence = self.declare_parameter("min_confidence", 0.5).value  # of points
+        self.min_confidence = self.declare_parameter(
+            "min_confidence", 0.5
+        ).value  # of points
         frame = self.declare_parameter("frame", "").value
-        self.frame_id = self.declare_parameter("frame_id", "base_link" if frame else "rig").value
+        self.frame_id = self.declare_parameter(
+            "frame_id", "base_link" if frame else "rig"
+        ).value
         rig = read_rig(calibration)
         self.axes = torch.eye(3)
         if frame:
@@ -58,32 +68,52 @@ class DepthNode(Node):
         self.depth = self.create_publisher(Image, "depth", 1)
         self.points = self.create_publisher(PointCloud2, "points", 1)
         inputs = [
-            message_filters.Subscriber(self, Image, f"{name}/image_raw", qos_profile=qos_profile_sensor_data)
+            message_filters.Subscriber(
+                self,
+                Image,
+                f"{name}/image_raw",
+                qos_profile=qos_profile_sensor_data,
+            )
             for name in self.names
         ]
         # Few wait: what comes while the network works makes room for what is newer.
-        self.moments = message_filters.ApproximateTimeSynchronizer(inputs, queue_size=2, slop=tolerance)
+        self.moments = message_filters.ApproximateTimeSynchronizer(
+            inputs, queue_size=2, slop=tolerance
+        )
         self.moments.registerCallback(self.on_images)
 
     def on_images(self, *messages: Image) -> None:
         """Estimate depth of the images of one moment, in the order of the rig."""
-        images = {name: pixels(message) for name, message in zip(self.names, messages, strict=True)}
+        images = {
+            name: pixels(message)
+            for name, message in zip(self.names, messages, strict=True)
+        }
         depth = self.predictor(images)
         header = Header(stamp=messages[0].header.stamp, frame_id=self.frame_id)
         self.depth.publish(depth_message(depth, self.rows, header))
-        self.points.publish(cloud_message(depth, self.min_confidence, header, self.axes))
+        self.points.publish(
+            cloud_message(depth, self.min_confidence, header, self.axes)
+        )
 
 
 def pixels(message: Any) -> np.ndarray:
     """An image as ``(h, w)`` or ``(h, w, 3)``, RGB, without a copy where there is nothing to turn."""
     if message.encoding not in CHANNELS:
-        raise ValueError(f"encoding: expected one of {', '.join(CHANNELS)}, got {message.encoding}")
+        raise ValueError(
+            f"encoding: expected one of {', '.join(CHANNELS)}, got {message.encoding}"
+        )
     channels = CHANNELS[message.encoding]
-    rows = np.frombuffer(message.data, np.uint8).reshape(message.height, message.step)
-    image = rows[:, : message.width * channels].reshape(message.height, message.width, channels)
+    rows = np.frombuffer(message.data, np.uint8).reshape(
+        message.height, message.step
+    )
+    image = rows[:, : message.width * channels].reshape(
+        message.height, message.width, channels
+    )
     if channels == 1:
         return image[..., 0]
-    return image[..., 2::-1] if message.encoding.startswith("bgr") else image[..., :3]
+    return (
+        image[..., 2::-1] if message.encoding.startswith("bgr") else image[..., :3]
+    )
 
 
 def depth_message(depth: Depth, rows: int, header: Any) -> Image:
@@ -101,15 +131,21 @@ def depth_message(depth: Depth, rows: int, header: Any) -> Image:
     )
 
 
-def cloud_message(depth: Depth, min_confidence: float, header: Any, axes: torch.Tensor) -> PointCloud2:
+def cloud_message(
+    depth: Depth, min_confidence: float, header: Any, axes: torch.Tensor
+) -> PointCloud2:
     """Coloured points, turned by ``axes`` ``(3, 3)``; a colour is three bytes in a float, as RViz wants it."""
     cloud = depth.points(min_confidence)
     points = cloud.points.cpu() @ axes.mT
-    red, green, blue = (255 * cloud.colors.clamp(0, 1)).round().int().cpu().numpy().T
+    red, green, blue = (
+        (255 * cloud.colors.clamp(0, 1)).round().int().cpu().numpy().T
+    )
     packed = (red << 16 | green << 8 | blue).astype("<u4").view("<f4")
     values = np.concatenate((points.numpy().astype("<f4"), packed[:, None]), 1)
     fields = [
-        PointField(name=name, offset=4 * place, datatype=PointField.FLOAT32, count=1)
+        PointField(
+            name=name, offset=4 * place, datatype=PointField.FLOAT32, count=1
+        )
         for place, name in enumerate(FIELDS)
     ]
     return PointCloud2(

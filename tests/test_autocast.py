@@ -100,6 +100,7 @@ NAMES: dict[str, Callable[[], Any]] = {
     "fit_inverse_polynomial": lambda: cameras.fit_inverse_polynomial(
         cameras.convert(lens(), "ocam").camera  # type: ignore[arg-type]
     ),
+    "sample_sphere": lambda: cameras.sample_sphere(turned(), images(), rays()),
     "straighten": lambda: cameras.straighten(lens()),
     "straighten_rig": lambda: cameras.straighten_rig(turned()),
     "from_kornia": lambda: cameras.from_kornia(kornia_camera()),
@@ -153,7 +154,6 @@ METHODS: dict[type, dict[str, Callable[[], Any]]] = {
         "project": lambda: turned().project(points()),
         "project_along": lambda: turned().project_along(rays(), torch.tensor([0.0, 0.123, 1.234])),
         "points_seen": lambda: turned().points_seen(rays(), torch.tensor([0.0, 0.123])),
-        "sample_sphere": lambda: turned().sample_sphere(images(), rays()),
         "to_yaml": lambda: file(turned().to_yaml, "rig.yaml"),
         "camera_from_world": lambda: turned().camera_from_world,
         "center": lambda: turned().center,

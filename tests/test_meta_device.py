@@ -156,6 +156,7 @@ CALLS: dict[str, Callable[[], Any]] = {
     "remap": lambda: cameras.remap(m(3, *SIZE), camera(), camera("pinhole"), rotation()),
     "remap_mask": lambda: cameras.remap_mask(camera(), camera("pinhole")),
     "Remap": lambda: cameras.Remap(camera(), camera("pinhole"))(m(3, *SIZE)),
+    "sample_sphere": lambda: cameras.sample_sphere(rig(), [m(3, 24, 24)] * 4, m(5, 3)),
     "undistort": lambda: cameras.undistort(m(3, *SIZE), camera(), 1.5),
     "undistorted_camera": lambda: cameras.undistorted_camera(camera(), 1.5).focal_length,
     "perspective_views": lambda: cameras.perspective_views(m(3, 16, 32), m(2, 3), image_size=(8, 8)),

@@ -77,4 +77,5 @@ from .remapping.views import perspective_views as perspective_views
 from .remapping.views import rotation_from_yaw_pitch_roll as rotation_from_yaw_pitch_roll
 from .rig import CameraRig as CameraRig
 from .rig import ring_rig as ring_rig
+from .sphere_images import sample_sphere as sample_sphere
 from .trajectory import Trajectory as Trajectory

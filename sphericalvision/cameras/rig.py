@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
 
 import torch
@@ -457,32 +456,6 @@ class CameraRig:
             pixels.append(coords)
             valid.append(seen)
         return Projection(torch.stack(pixels, -3), torch.stack(valid, -2))
-
-    def sample_sphere(
-        self,
-        images: Mapping[str, Float[Tensor, "*#batch c _ _"]] | Sequence[Float[Tensor, "*#batch c _ _"]],
-        directions: Float[Tensor, "V 3"],
-        fill: float = 0.5,
-        antialias: bool = False,
-    ) -> tuple[Float[Tensor, "*batch n c V"], Bool[Tensor, "*seen n V"]]:
-        """Look each camera's image up in directions of the world, as if from its own position (rotation only).
-
-        Args:
-            images: by camera name, or in the rig's order: ``(*b, c, h, w)``, as large as the camera is calibrated for.
-            directions: ``(V, 3)`` in the world, so that up is up in every result.
-            fill: value outside of the field of view, the image or the mask.
-            antialias: average pixels first where the image is finer than the directions, taken as evenly spread.
-
-        Returns:
-            Values ``(*b, n, c, V)`` and validity ``(*b, n, V)`` (without ``*b`` for a rig shared by the batch).
-
-        Raises:
-            ArgumentError: if the number or the names of the images are not those of the rig.
-            ShapeError: if an image has another size than its camera.
-        """
-        above = import_module("sphericalvision.cameras.sphere_images")
-        looked_up: tuple[Tensor, Tensor] = above.sample_sphere(self, images, directions, fill, antialias)
-        return looked_up
 
     def to_yaml(self, path: str | Path) -> None:
         """Write the rig as this package's own YAML, which ``read_rig`` reads; masks become images beside it.

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
@@ -74,12 +74,26 @@ def sphere_lookups(
 
 def sample_sphere(
     rig: CameraRig,
-    images: Mapping[str, Shaped[Tensor, "*#batch c _ _"]] | Sequence[Shaped[Tensor, "*#batch c _ _"]],
+    images: Mapping[str, Float[Tensor, "*#batch c _ _"]] | Sequence[Float[Tensor, "*#batch c _ _"]],
     directions: Float[Tensor, "V 3"],
     fill: float = 0.5,
     antialias: bool = False,
-) -> tuple[Shaped[Tensor, "*batch n c V"], Bool[Tensor, "*seen n V"]]:
-    """The function behind ``CameraRig.sample_sphere``, which describes it.
+) -> tuple[Float[Tensor, "*batch n c V"], Bool[Tensor, "*seen n V"]]:
+    """Look each camera's image up in directions of the world, as if from its own position (rotation only).
+
+    Args:
+        rig: one, or a batch of rigs.
+        images: by camera name, or in the rig's order: ``(*b, c, h, w)``, as large as the camera is calibrated for.
+        directions: ``(V, 3)`` in the world, so that up is up in every result.
+        fill: value outside of the field of view, the image or the mask.
+        antialias: average pixels first where the image is finer than the directions, taken as evenly spread.
+
+    Returns:
+        Values ``(*b, n, c, V)`` and validity ``(*b, n, V)`` (without ``*b`` for a rig shared by the batch).
+
+    Raises:
+        ArgumentError: if the number or the names of the images are not those of the rig.
+        ShapeError: if an image has another size than its camera.
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig

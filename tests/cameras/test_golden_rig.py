@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from sphericalvision.cameras import read_rig
+from sphericalvision.cameras import read_rig, sample_sphere
 
 
 def test_pixels_of_vertices_agree_with_the_reference(golden: Path) -> None:
@@ -46,7 +46,7 @@ def test_images_on_the_sphere_agree_with_the_reference(golden: Path) -> None:
         small = reference[f"img_lowres_cam{number}"]
         large = cv2.resize(small, (width, height), interpolation=cv2.INTER_CUBIC)
         images.append(torch.from_numpy(large).movedim(-1, 0).float())
-    values, valid = rig.sample_sphere(images, vertices, fill=128.0)
+    values, valid = sample_sphere(rig, images, vertices, fill=128.0)
     for index in range(len(rig)):
         expected = torch.from_numpy(reference[f"ico_cam{index + 1}"]).float().T
         difference = (values[index] - expected).abs().amax(0)

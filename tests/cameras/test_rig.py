@@ -8,7 +8,7 @@ import math
 import pytest
 import torch
 
-from sphericalvision.cameras import CameraRig, DoubleSphereCamera, FisheyeCamera, ring_rig
+from sphericalvision.cameras import CameraRig, DoubleSphereCamera, FisheyeCamera, ring_rig, sample_sphere
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import transform_from_axis_angle
 
@@ -136,7 +136,7 @@ def test_stack_keeps_different_masks_apart() -> None:
     mask = torch.zeros(64, 64, dtype=torch.bool)
     batch = CameraRig.stack([rig, CameraRig(rig.cameras, rig.world_from_camera, {"cam1": mask})])
     images = [torch.ones(2, 1, 64, 64)] * 4
-    _, valid = batch.sample_sphere(images, FORWARD[None])
+    _, valid = sample_sphere(batch, images, FORWARD[None])
     assert valid[:, 0, 0].tolist() == [True, False]
     for index, usable in enumerate((True, False)):
         assert torch.equal(batch.select(index).masks["cam1"], torch.full((64, 64), usable))
@@ -159,7 +159,7 @@ def test_sample_sphere_shows_the_world_upright_whatever_the_pose() -> None:
     for (name, camera), pose in zip(rig.cameras.items(), rig.world_from_camera, strict=True):
         seen = camera.unproject(camera.pixel_grid()).directions
         images[name] = panorama(seen @ pose[:3, :3].T).movedim(-1, 0)
-    values, valid = rig.sample_sphere(images, directions)
+    values, valid = sample_sphere(rig, images, directions)
     assert values.shape == (4, 3, 500)
     expected = panorama(directions).T.expand(4, 3, 500)
     error = (values - expected).abs().amax(1)
@@ -167,17 +167,17 @@ def test_sample_sphere_shows_the_world_upright_whatever_the_pose() -> None:
     assert (values.movedim(1, -1)[~valid] == 0.5).all()
     angle = torch.arccos((directions @ rig.axes.T).clamp(-1, 1)).T
     assert torch.equal(valid, angle <= math.radians(110))
-    assert torch.equal(rig.sample_sphere(list(images.values()), directions)[0], values)
+    assert torch.equal(sample_sphere(rig, list(images.values()), directions)[0], values)
 
 
 def test_sample_sphere_of_a_batch_equals_the_loop(generator: torch.Generator) -> None:
     rigs = [small_ring(), small_ring().rotated(tilt=0.4)]
     directions = torch.nn.functional.normalize(torch.randn(50, 3, generator=generator), dim=-1)
     images = torch.rand(4, 2, 3, 64, 64, generator=generator)
-    values, valid = CameraRig.stack(rigs).sample_sphere(list(images), directions)
+    values, valid = sample_sphere(CameraRig.stack(rigs), list(images), directions)
     assert values.shape == (2, 4, 3, 50)
     for index, rig in enumerate(rigs):
-        alone, seen = rig.sample_sphere(list(images[:, index]), directions)
+        alone, seen = sample_sphere(rig, list(images[:, index]), directions)
         torch.testing.assert_close(values[index], alone)
         assert torch.equal(valid[index], seen)
 
@@ -189,8 +189,8 @@ def test_antialias_averages_what_the_directions_cannot_show() -> None:
     board = ((u + v) % 2).float()[None]
     generator = torch.Generator().manual_seed(0)
     directions = torch.nn.functional.normalize(torch.randn(2000, 3, generator=generator), dim=-1)
-    plain, valid = rig.sample_sphere([board] * 4, directions)
-    smooth, same = rig.sample_sphere([board] * 4, directions, antialias=True)
+    plain, valid = sample_sphere(rig, [board] * 4, directions)
+    smooth, same = sample_sphere(rig, [board] * 4, directions, antialias=True)
     assert torch.equal(valid, same)
     assert plain[:, 0][valid].std() > 0.1
     assert smooth[:, 0][valid].std() < 0.02
@@ -203,7 +203,7 @@ def test_masked_pixels_are_filled() -> None:
     mask[:, 32:] = False  # the right half of the front camera
     rig = CameraRig(rig.cameras, rig.world_from_camera, {"cam1": mask})
     sides = torch.tensor([[-0.5, 0.0, 1.0], [0.5, 0.0, 1.0]])
-    values, valid = rig.sample_sphere([torch.ones(1, 64, 64)] * 4, sides, fill=0.25)
+    values, valid = sample_sphere(rig, [torch.ones(1, 64, 64)] * 4, sides, fill=0.25)
     assert valid[0].tolist() == [True, False]
     torch.testing.assert_close(values[0, 0], torch.tensor([1.0, 0.25]))
 
@@ -212,11 +212,11 @@ def test_wrong_images_are_refused_by_name() -> None:
     rig = small_ring()
     image = torch.zeros(3, 64, 64)
     with pytest.raises(ValueError, match="expected 4, one for each camera, got 3"):
-        rig.sample_sphere([image] * 3, FORWARD[None])
+        sample_sphere(rig, [image] * 3, FORWARD[None])
     with pytest.raises(ValueError, match=r"cam1, cam2, cam3, cam4, got a, b"):
-        rig.sample_sphere({"a": image, "b": image}, FORWARD[None])
+        sample_sphere(rig, {"a": image, "b": image}, FORWARD[None])
     with pytest.raises(ValueError, match=r"images\['cam1'\].*64 x 64.*got shape \(3, 32, 64\)"):
-        rig.sample_sphere([torch.zeros(3, 32, 64)] * 4, FORWARD[None])
+        sample_sphere(rig, [torch.zeros(3, 32, 64)] * 4, FORWARD[None])
 
 
 def test_broken_poses_are_refused_by_name() -> None:

@@ -333,8 +333,8 @@ class ImageLookup(nn.Module):
         size = images.shape[-3:]
         batch = broadcast_shapes(images.shape[:-3], self.grid.shape[:-3])
         grid = self.grid.to(images.dtype).expand(*batch, *self.grid.shape[-3:])
-        grid = grid.reshape(-1, *grid.shape[-3:])
-        flat = images.expand(*batch, *size).reshape(-1, *size)
+        grid = grid.reshape(math.prod(batch), *grid.shape[-3:])
+        flat = images.expand(*batch, *size).reshape(math.prod(batch), *size)
         parts = self._parts(flat)
         if parts > 1:
             grid, flat = grid.view(parts, -1, *grid.shape[2:]), flat.expand(parts, *size)
@@ -347,7 +347,7 @@ class ImageLookup(nn.Module):
         """How many parts to cut results into: on a CPU ``grid_sample`` gives each image of a batch to one thread."""
         if torch.compiler.is_compiling() or images.shape[0] > 1 or images.device.type != "cpu":
             return 1
-        if torch.get_num_threads() == 1:
+        if torch.get_num_threads() == 1 or not self.grid.numel():
             return 1
         if torch.is_grad_enabled() and (images.requires_grad or self.grid.requires_grad):
             return 1

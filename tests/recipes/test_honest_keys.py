@@ -69,7 +69,7 @@ RUNS = (
         "baseline_scenes=2",
         *DEMO,
     ),
-    ("align", RIG, IMAGES),
+    ("align", RIG, IMAGES, "stop=1"),
     ("calibrate", "images=board/*.png", f"board={COLUMNS}x{ROWS}", f"square={SQUARE}"),
     (
         "export",

@@ -322,6 +322,7 @@ def test_the_rigs_own_body_is_masked(
                 picture[:, 66:, 18:78] = 0.1
             write_image(folder / name / f"{frame}.png", picture)
     given = [f"calibration={folder}/rig.yaml", f"images={folder}/{{camera}}/{{frame}}.png", "height=32"]
+    given += ["align=false"]
     run("predict", *given, f"checkpoint={weights}", "output=out", "masks=auto", "stop=1", "outputs=[npz]")
     masks = {name: read_image(tmp_path / f"out/masks/{name}.png")[0] for name in rig.names}
     assert not masks["cam2"][72:90, 30:66].any()
@@ -473,7 +474,7 @@ def test_colours_stay_those_of_the_first_frame(run: Run, tmp_path: Path) -> None
     rig = ring_rig(3, image_size=(32, 32))
     write_capture(tmp_path, rig, *(render_rig(make_scene("bare", seed=seed), rig) for seed in (0, 2)))
     settings = ["calibration=rig.yaml", "images={camera}/{frame}.png", "method=semi_global", "level=4"]
-    settings += ["min_depth=0.5", "height=16", "outputs=[depth]"]
+    settings += ["min_depth=0.5", "height=16", "outputs=[depth]", "align=false"]
     for more in (["output=all"], ["output=parts", "stop=1"], ["output=parts", "skip_existing=true"]):
         run("predict", *settings, *more)
     run("predict", *settings, "output=alone", "start=1")

@@ -32,7 +32,7 @@ from sphericalvision.capture.sources.opening import (
     rig_with_masks,
     spread_evenly,
 )
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.io.images import read_image_size, read_mask, write_mask
 from sphericalvision.io.times import SAME_TIME
 from sphericalvision.recipes.app.kinds import (
@@ -226,9 +226,15 @@ class PosedCapture(Capture):
         """The frames; with poses those of windows, where ``calibration`` may be ``PANORAMA``.
 
         Raises:
-            ArgumentError: one camera, and a key that is for rigs.
+            ArgumentError: one camera without poses, or with poses and a key that is for rigs.
         """
         if self.poses is None:
+            if self._num_cameras() == 1:
+                raise ArgumentError(
+                    f"calibration: {self.calibration} is of one camera, and one camera alone has no depth: give "
+                    "poses=, a file of where it was at each image (of TUM, KITTI or COLMAP), or the calibration of a "
+                    "rig of two cameras or more, with their poses"
+                )
             return super().open()
         trajectory = read_trajectory(self.poses).turned(self.upwards)
         cameras: dict[str, Camera] = {NAME: EquirectangularCamera((512, 1024))}
@@ -238,6 +244,15 @@ class PosedCapture(Capture):
         with keys_named(images="poses"):
             # Its rig follows from that of its source, and nobody sets it.
             return Moving(source, trajectory, self.window, self.spacing or 0.0)  # type: ignore[return-value]
+
+    def _num_cameras(self) -> int | None:
+        """How many cameras the calibration has; None where it cannot be read."""
+        if self.calibration == PANORAMA and not Path(PANORAMA).exists():
+            return 1
+        try:
+            return len(self.camera_models())
+        except (ArgumentError, FileFormatError, OSError):
+            return None  # whoever opens it tells why
 
     def _open_single(self, camera: Camera) -> Source:
         """The images of one camera, with a mask on."""

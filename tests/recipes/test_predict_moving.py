@@ -13,7 +13,15 @@ import pytest
 import torch
 import trimesh
 
-from sphericalvision.cameras import EquirectangularCamera, read_rig, read_trajectory, ring_rig, save_rig
+from sphericalvision.cameras import (
+    CameraRig,
+    EquirectangularCamera,
+    read_rig,
+    read_trajectory,
+    ring_rig,
+    save_camera,
+    save_rig,
+)
 from sphericalvision.capture import Predictor
 from sphericalvision.capture.alignment import RigTurns
 from sphericalvision.capture.sources.frames import Selection
@@ -75,6 +83,19 @@ def of_drive(drive: Path) -> list[str]:
         f"poses={drive}/poses.txt",
         *("output=out", "outputs=[npz]", "height=16", "device=cpu", *COARSE),
     ]
+
+
+@pytest.mark.parametrize("calibration", ["equirectangular", "camera.yaml", "rig.yaml"])
+def test_one_camera_without_poses_is_told_what_is_missing(calibration: str, tmp_path: Path) -> None:
+    camera = EquirectangularCamera(SIZE)
+    save_camera(camera, tmp_path / "camera.yaml")
+    save_rig(CameraRig({"front": camera}, torch.eye(4)[None]), tmp_path / "rig.yaml")
+    write_image(tmp_path / "walk/0.png", torch.rand(3, *SIZE))
+    path = calibration if calibration == "equirectangular" else str(tmp_path / calibration)
+    with pytest.raises(
+        ArgumentError, match=r"^calibration: .* is of one camera, .* has no depth: give poses="
+    ):
+        PosedCapture(calibration=path, images=f"{tmp_path}/walk/*.png").open()
 
 
 def keys(capture: Path, **given: Any) -> PosedCapture:

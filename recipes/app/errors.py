@@ -7,11 +7,13 @@ import difflib
 import os
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
 from hydra import compose
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.object_type import ObjectType
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
@@ -53,8 +55,8 @@ def plain_errors() -> Iterator[None]:
         refuse(message)
 
 
-def override_message(error: Exception, command: str) -> str:
-    """What is wrong with words that do not fit the configuration of a command, as Hydra found it."""
+def override_message(error: Exception, command: str, words: Sequence[str]) -> str:
+    """What is wrong with ``words`` that do not fit the configuration of a command, as Hydra found it."""
     text = " ".join(str(error).partition("See https://hydra.cc")[0].split())
     if isinstance(error, OverrideParseException):
         return f"{error.override}: expected KEY=VALUE, such as output=results ({text})"
@@ -68,17 +70,38 @@ def override_message(error: Exception, command: str) -> str:
     program = "python -m sphericalvision.recipes.demo" if command == "demo" else f"sphericalvision-{command}"
     if unknown := re.search(r"Could not override '([^'@]+)", text):
         key = unknown[1]
-        known_keys = keys_of(compose(command))
-        if key in known_keys:  # of the usual options
-            return f"{key}: does not count with the options given; leave it out. {program} --help lists those that do"
+        groups = compose(command, return_hydra_config=True).hydra.runtime.choices
+        choices = [word for word in words if word.partition("=")[0] in groups]
+        known_keys = [name for name in keys_of(compose(command, choices)) if "._" not in name]
+        group = key.partition(".")[0]
+        having = [
+            choice
+            for choice in (f"{group}={option}" for option in _options(group, command) if group in groups)
+            if key in keys_of(compose(command, [*choices, choice]))
+        ]
+        if having or key in keys_of(compose(command)):  # of other options
+            others = f" (it is a key of {', '.join(having)})" if having else ""
+            return (
+                f"{key}: does not count with the options given; leave it out{others}. {program} --help lists those "
+                "that do"
+            )
         near = difflib.get_close_matches(key, known_keys, 3) or [
             name for name in known_keys if name.split(".")[-1] == key.split(".")[-1]
         ]
         if key == "rig" and "calibration" in known_keys:  # a group of the commands that render
             near = ["calibration"]
+        siblings = [name for name in known_keys if name.startswith(f"{group}.")] if "." in key else []
         hint = f"did you mean {' or '.join(near[:3])}? " if near else ""
+        if not near and siblings:
+            hint = f"{group} has {', '.join(name.partition('.')[2] for name in siblings)}. "
         return f"{key}: there is no such key in this configuration; {hint}All keys: {program} --help"
     return f"{text}; {program} --help lists groups with their options, and keys"
+
+
+def _options(group: str, command: str) -> list[str]:
+    """Options of a group, without those that others only inherit from."""
+    options = GlobalHydra.instance().config_loader().get_group_options(group, ObjectType.CONFIG, command, [])
+    return [option for option in options if not option.startswith("_")]
 
 
 def several_processes(config: DictConfig) -> str | None:

@@ -99,7 +99,7 @@ def checked_config(space: Hydra, command: Task, overrides: list[str], multirun: 
         words = first_values(overrides) if multirun else overrides
         config = space.compose_config(command.name, words, RunMode.RUN, with_log_configuration=True)
     except (HydraException, OmegaConfBaseException, ValueError) as error:
-        refuse(override_message(error, command.name))
+        refuse(override_message(error, command.name, overrides))
     if wrong := several_processes(config) if multirun else None:
         refuse(wrong)
     import_torch()  # not before: a misspelt key does not wait for it

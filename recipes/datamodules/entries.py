@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from annotated_types import MinLen
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.data import SampleView
 from sphericalvision.models import DepthNetwork
 
@@ -91,8 +91,16 @@ def truth_of(batch: Sample, net: DepthNetwork) -> tuple[Tensor, Tensor]:
     """
     grid: Any = net.grid
     if net.depth_level is None:
-        whole = (_entry(batch, f"panorama_{name}", net) for name in ("inverse_depth", "valid"))
-        inverse_depth, valid = (grid.rows_of(values) for values in whole)
+        whole = [_entry(batch, f"panorama_{name}", net) for name in ("inverse_depth", "valid")]
+        try:
+            inverse_depth, valid = map(grid.rows_of, whole)
+        except ShapeError:
+            height, width = whole[0].shape[-2:]
+            raise ArgumentError(
+                f"data: samples have depth on panoramas of {height} x {width} (height x width), {type(net).__name__} "
+                f"estimates it on {grid.height} x {grid.width}; set model.output_size=[{height},{width}], or "
+                f"[{height // 2},{width}] for the rows within 45 degrees"
+            ) from None
         return inverse_depth, valid
     inverse_depth, valid = _entry(batch, "inverse_depth", net), _entry(batch, "valid", net)
     if inverse_depth.shape[-1:] != net.grid.shape:

@@ -54,9 +54,11 @@ class RemembersArguments(nn.Module):
             )
         bound.apply_defaults()
         arguments = dict(list(bound.arguments.items())[1:])
-        for parameter in inspect.signature(cls.__init__).parameters.values():
+        for name, parameter in inspect.signature(cls.__init__).parameters.items():
             if parameter.kind is inspect.Parameter.VAR_KEYWORD:
-                arguments |= arguments.pop(parameter.name)
+                arguments |= arguments.pop(name)
+            elif parameter.kind is inspect.Parameter.VAR_POSITIONAL and (nameless := arguments.pop(name)):
+                arguments[f"*{name}"] = nameless
         object.__setattr__(net, "_arguments", arguments)
         return net
 
@@ -65,7 +67,7 @@ class RemembersArguments(nn.Module):
         """Plain values that rebuild this network, ``type(net)(**net.hyperparameters)``: what it was constructed with.
 
         Raises:
-            ArgumentError: if it was constructed with something else than plain values.
+            ArgumentError: if it was constructed with something else than plain values, or with arguments without names.
         """
         return {name: _plain(name, value) for name, value in self._arguments.items()}
 
@@ -75,6 +77,11 @@ class RemembersArguments(nn.Module):
 
 def _plain(name: str, value: Any) -> Any:
     """The value of a hyper-parameter as a file can hold it."""
+    if name.startswith("*"):
+        raise ArgumentError(
+            f"{name}: expected arguments with names, by which files hold them, got {value!r} without; pass them as "
+            f"name=value, or take a list, {name[1:]}, in place of {name}"
+        )
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, Mapping):

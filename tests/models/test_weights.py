@@ -354,3 +354,17 @@ def test_names_of_steps_are_no_trap(tmp_path: Path, bits: Literal[32, 8]) -> Non
         )
         with pytest.raises(FileFormatError, match="step"):
             load_weights(rewritten(path, change))
+
+
+class Forwarding(IcoSweepNet):
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+
+
+def test_a_network_with_nameless_arguments_is_rebuilt_by_names_or_refused() -> None:
+    options = {"num_hypotheses": 4, "feature_channels": 2, "num_cameras": 2}
+    net = Forwarding(level=3, **options)
+    assert net.hyperparameters == {"level": 3, **options}
+    assert net.with_changes(level=4).level == 4
+    with pytest.raises(ArgumentError, match=r"^\*args: expected arguments with names, .* got \(3,\)"):
+        _ = Forwarding(3, **options).hyperparameters

@@ -6,14 +6,19 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
 from sphericalvision.cameras import EquirectangularCamera
+from sphericalvision.core import ArgumentError
 from sphericalvision.data import OmniStereoDataset, collate_samples
+from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.cli import build
+from sphericalvision.recipes.datamodules.entries import images_of, truth_of
 from sphericalvision.recipes.datamodules.scenes import SceneDataModule
+from tests.documented import visible_python
 from tests.recipes.tiny import TINY_SCENES, Run, composed
 
 TINY_PANORAMAS = ("rig=equirect4", "rig.image_size=[16,32]")
@@ -86,6 +91,43 @@ def test_one_data_module_serves_both_networks() -> None:
     assert set(second) == expected
     assert second["fisheye"].shape == (4, 3, 32, 32)
     assert second["panorama_inverse_depth"].shape == (20, 40)
+
+
+PAGE = Path(__file__).parents[2] / "docs/tutorials/own-data.md"
+
+
+def own_batch(*model: str) -> tuple[dict[str, Any], DepthNetwork]:
+    """The first batch of the data module that the page shows, for a network, and that network."""
+    source = next(source for title, source in visible_python(PAGE) if title.endswith("my_captures.py"))
+    namespace: dict[str, Any] = {"__name__": "my_captures"}
+    exec(compile(source, PAGE.name, "exec"), namespace)
+    net = build(composed("train", *model).model)
+    data = namespace["MyDataModule"](batch_size=1)
+    data.bind_network(net)
+    return next(iter(data.val_dataloader())), net
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        ("model=icosweepnet_small", "model.level=3"),
+        ("model=omnimvs_small", "model.output_size=[32,64]", "model.num_scales=2"),
+        ("model=romnistereo_small", "model.output_size=[16,64]"),
+    ],
+)
+def test_the_data_module_of_the_page_serves_any_network(model: tuple[str, ...]) -> None:
+    batch, net = own_batch(*model)
+    images, seen = images_of(batch, net)
+    net.check_images(images, seen)
+    inverse_depth, valid = truth_of(batch, net)
+    assert inverse_depth.shape == valid.shape == (1, *net.grid.shape)
+
+
+def test_truth_on_a_panorama_of_another_size_names_the_key_of_the_network() -> None:
+    batch, net = own_batch("model=omnimvs_small", "model.output_size=[20,40]", "model.num_scales=2")
+    words = r"panoramas of 32 x 64 .* OmniMVS estimates it on 20 x 40; set model.output_size=\[32,64\], or \[16,64\]"
+    with pytest.raises(ArgumentError, match=words):
+        truth_of(batch, net)
 
 
 def test_both_kinds_of_samples_are_augmented_alike() -> None:

@@ -71,6 +71,13 @@ FAULTS = (
     ("train", "model=icosweepnett", "known are icosweepnet"),
     ("train", "optimizer.learning_rate=1", "optimizer.learning_rate: there is no such key"),
     ("train", "experiment=quickstart trainer.max_step=3", "did you mean trainer.max_steps"),
+    ("train", "model.output_size=[20,40]", "is a key of model=omnimvs, "),
+    ("train", "data=omnistereo data.root=x data.tilts_deg=[0,9]", "is a key of data=fisheye_scenes, "),
+    (
+        "train",
+        "data=omnistereo data.root=x data.tilts_degs=[0,9]",
+        "in this configuration; data has entries, ",
+    ),
     ("train", "data=omnithings", "data.root=..."),
     ("train", "seed", "seed: expected KEY=VALUE"),
     ("train", "logger=mlfow", "known are"),

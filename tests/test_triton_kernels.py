@@ -44,10 +44,32 @@ for colors in (guide, None):
     arrived = path_costs_kernel(cost, paths.ids, jumps, 0.3, paths.first)
     torch.testing.assert_close(mean_by_id(arrived.flatten(2), paths.arrivals).transpose(0, 1), expected)
 """
+HEXAGONS = """
+import torch
+from sphericalvision.crown.by_lookups import _tap_tables, hex_conv_by_lookups
+from sphericalvision.crown.hexconv import CHART_RINGS, NORTH_RINGS
+from sphericalvision.crown.hexconv_triton import hex_conv_kernel
+
+generator = torch.Generator().manual_seed(0)
+for channels, outputs, stride, rings in ((5, 20, 1, CHART_RINGS), (33, 16, 2, NORTH_RINGS)):
+    values = torch.randn(2, channels, 42, generator=generator)
+    weight, bias = torch.randn(outputs, channels, 7, generator=generator), torch.randn(outputs, generator=generator)
+    tables = _tap_tables(1, stride, rings, values.device)
+    plain = hex_conv_by_lookups(values, weight, bias, stride, rings)
+    kernel = hex_conv_kernel(values, weight, bias, tables.around, tables.taps)
+    torch.testing.assert_close(kernel, plain, rtol=1e-4, atol=1e-4)
+    options = {"rectify": True, "residual": torch.randn(plain.shape, generator=generator)}
+    plain = hex_conv_by_lookups(values, weight, None, stride, rings, **options)
+    values = values.mT.contiguous().mT  # channels may be the fastest in memory
+    kernel = hex_conv_kernel(values, weight, None, tables.around, tables.taps, **options)
+    torch.testing.assert_close(kernel, plain, rtol=1e-4, atol=1e-4)
+"""
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("program", [MEDIANS, SYSTEMS, PATHS], ids=["medians", "systems", "paths"])
+@pytest.mark.parametrize(
+    "program", [MEDIANS, SYSTEMS, PATHS, HEXAGONS], ids=["medians", "systems", "paths", "hexagons"]
+)
 def test_a_kernel_returns_what_operators_of_torch_do(program: str, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip(
         "triton", reason="kernels need Triton, which torch for CUDA brings along: pip install triton"

@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.core import constant_table
+from sphericalvision.core import by_triton, constant_table
 from sphericalvision.crown.hexpad import hex_pad
 from sphericalvision.crown.places import level_of_rectangles, place_ids
 from sphericalvision.crown.taps import COL_TAPS, neighbor_taps
@@ -34,12 +36,31 @@ def _fold_tables(level: int, device: torch.device) -> MeansById:
     return means_by_id(place_ids(level, device).flatten(), num_icosphere_vertices(level))
 
 
+class TapTables(NamedTuple):
+    """What seven taps read at each vertex of the result.
+
+    Attributes:
+        taps: ``(V_out * 7,)`` vertices, V + s for the mean around the special vertex s.
+        around: ``(60,)`` five neighbours of each of the twelve special vertices.
+        reads: ``(V_out * 7 + 63,)`` the taps, with any vertex in place of a mean, then ``around``, then three more, so
+            that there are nine times seven.
+        gaps: ``(12,)`` where in ``reads`` the means belong.
+    """
+
+    taps: Int[Tensor, " V_out_times_7"]
+    around: Int[Tensor, " 60"]
+    reads: Int[Tensor, " reads"]
+    gaps: Int[Tensor, " 12"]
+
+
 def hex_conv_by_lookups(
     values: Float[Tensor, "B C_in V"],
     weight: Float[Tensor, "C_out C_in 7"],
     bias: Float[Tensor, " C_out"] | None,
     stride: int,
     rings: Rings,
+    rectify: bool = False,
+    residual: Float[Tensor, "B C_out V_out"] | None = None,
 ) -> Float[Tensor, "B C_out V_out"]:
     """Convolve along the charts, as ``hex_conv2d`` does: look the seven taps of every vertex up, then multiply.
 
@@ -49,18 +70,26 @@ def hex_conv_by_lookups(
         bias: ``(out,)``.
         stride: 1 or 2.
         rings: taps of the five neighbours and of the gap at the north pole, A, B and the south pole.
+        rectify: whether values pass a ReLU first.
+        residual: is added to the result.
     """
-    around, taps = _tap_tables(level_from_num_vertices(values.shape[-1]), stride, rings, values.device)
-    gaps = values.index_select(-1, around).unflatten(-1, (12, 5)).mean(-1)
+    tables = _tap_tables(level_from_num_vertices(values.shape[-1]), stride, rings, values.device)
+    given = [tensor for tensor in (values, weight, bias, residual) if tensor is not None]
+    exact = all(tensor.dtype == torch.float32 for tensor in given)
+    if by_triton(*given) and exact and not torch.is_autocast_enabled("cuda"):
+        from sphericalvision.crown.hexconv_triton import hex_conv_kernel  # Triton is not everywhere
+
+        return hex_conv_kernel(values, weight, bias, tables.around, tables.taps, rectify, residual)
+    read = (values.relu() if rectify else values).index_select(-1, tables.reads)
+    means = read[..., -63:-3].unflatten(-1, (12, 5)).mean(-1)
+    read.index_copy_(-1, tables.gaps, means)
     # Seven values a vertex in a row: a convolution that goes on by seven needs no other order of the weights.
-    return F.conv1d(torch.cat((values, gaps), -1).index_select(-1, taps), weight, bias, stride=7)
+    result = F.conv1d(read, weight, bias, stride=7)[..., :-9]
+    return result if residual is None else residual + result
 
 
 @constant_table
-def _tap_tables(
-    level: int, stride: int, rings: Rings, device: torch.device
-) -> tuple[Int[Tensor, " rings_times_5"], Int[Tensor, " V_out_times_7"]]:
-    """Five neighbours of the twelve special vertices; and what seven taps of each vertex read, V + s for a mean."""
+def _tap_tables(level: int, stride: int, rings: Rings, device: torch.device) -> TapTables:
     number, n = num_icosphere_vertices(level), 2**level
     charts, special = hex_pad(torch.arange(number, dtype=torch.float64, device=device)[None, None])
     charts, special = charts[0, :, 0].long(), special[0, 0].long()
@@ -78,5 +107,9 @@ def _tap_tables(
             (*neighbors, center * 0 + number + vertex)
         )
         taps[center, 6] = center
-    taps = taps if stride == 1 else taps[coarse_vertex_ids(level, device)]
-    return special[:, :5].flatten(), taps.flatten()
+    taps = (taps if stride == 1 else taps[coarse_vertex_ids(level, device)]).flatten()
+    around = special[:, :5].flatten()
+    is_gap = taps >= number
+    gaps = is_gap.nonzero()[:, 0]
+    reads = torch.cat((taps.masked_fill(is_gap, 0), around, around[:3]))
+    return TapTables(taps, around, reads, gaps[taps[gaps].argsort()])

@@ -121,6 +121,8 @@ def hex_conv2d(
     bias: Float[Tensor, " C_out"] | None = None,
     stride: int = 1,
     north: Float[Tensor, " V"] | None = None,
+    rectify: bool = False,
+    residual: Float[Tensor, "B C_out V_out"] | None = None,
 ) -> Float[Tensor, "B C_out V_out"]:
     """Convolve values on an icosphere with seven taps: each vertex and its six true neighbours.
 
@@ -130,6 +132,8 @@ def hex_conv2d(
         bias: ``(out,)``.
         stride: 1, or 2 to keep the vertices of the next coarser level.
         north: ``north_fraction(level)`` of this level for taps aligned with north; without it they follow the charts.
+        rectify: whether values pass a ReLU first.
+        residual: is added to the result.
 
     Returns:
         ``(B, out, V)``, or of the next coarser level; channels are the fastest dimension in memory.
@@ -147,9 +151,16 @@ def hex_conv2d(
         torch.Size([1, 8, 42])
     """
     _check_conv(values, weight, 2, stride, north)
-    if in_one_graph(values.device):
-        if north is None:
-            return hex_conv_by_lookups(values, weight, bias, stride, CHART_RINGS)
+    if north is None and in_one_graph(values.device):
+        return hex_conv_by_lookups(values, weight, bias, stride, CHART_RINGS, rectify, residual)
+    result = _hex_conv2d(values.relu() if rectify else values, weight, bias, stride, north)
+    return result if residual is None else residual + result
+
+
+def _hex_conv2d(
+    values: Tensor, weight: Tensor, bias: Tensor | None, stride: int, north: Tensor | None
+) -> Tensor:
+    if north is not None and in_one_graph(values.device):
         both = hex_conv_by_lookups(values, *_two_orientations(weight, bias), stride, NORTH_RINGS)
         fraction = north.to(values)
         if stride == 2:
@@ -353,8 +364,13 @@ class HexConv2d(_HexConv):
 
     taps = 7
 
-    def forward(self, values: Float[Tensor, "B C_in V"]) -> Float[Tensor, "B C_out V_out"]:
-        return hex_conv2d(values, self.weight, self.bias, self.stride, self.north)
+    def forward(
+        self,
+        values: Float[Tensor, "B C_in V"],
+        rectify: bool = False,
+        residual: Float[Tensor, "B C_out V_out"] | None = None,
+    ) -> Float[Tensor, "B C_out V_out"]:
+        return hex_conv2d(values, self.weight, self.bias, self.stride, self.north, rectify, residual)
 
 
 class HexConv3d(_HexConv):

@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -42,7 +41,7 @@ class HexResidualBlock(nn.Module):
             nn.init.zeros_(self.second.bias)
 
     def forward(self, values: Float[Tensor, "B C V"]) -> Float[Tensor, "B C V"]:
-        return values + self.second(F.relu(self.first(F.relu(values))))
+        return self.second(self.first(values, rectify=True), rectify=True, residual=values)  # type: ignore[no-any-return]
 
 
 class HexUNet(nn.Module):
@@ -81,7 +80,7 @@ class HexUNet(nn.Module):
         levels = []
         for block, coarsen in zip(self.down, self.coarsen, strict=False):
             levels.append(block(values))
-            values = coarsen(F.relu(levels[-1]))
+            values = coarsen(levels[-1], rectify=True)
         values = self.down[-1](values)
         for fine, refine, block in zip(levels[::-1], reversed(self.refine), reversed(self.up), strict=True):
             values = block(fine + icosphere_upsample(refine(values)))

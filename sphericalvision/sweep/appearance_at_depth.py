@@ -61,37 +61,39 @@ def appearance_at_depth(
     rows = torch.cat((images * shown, shown), 2).transpose(2, 3).contiguous()  # colours beside each other
     if not one_at_a_time(images):
         return _all_at_once(rows, locator, vertices, offsets, inverse_depths)
-    found = []
-    for sample, offset, inverse_depth in zip(rows, offsets, inverse_depths, strict=True):
-        values = [
-            _looked_up(row, locator, vertices, camera, inverse_depth)
-            for row, camera in zip(sample, offset, strict=True)
+    chunk = max(1, locator.chunk_size // inverse_depths.shape[1])
+    samples = [
+        [
+            _seen_by_all(sample, locator, *part, offset)
+            for part in zip(vertices.split(chunk, 1), inverse_depth.split(chunk, 1), strict=True)
         ]
-        weights = [(value[..., -1:] > 0.5).to(value) for value in values]
-        colors = [value[..., :-1] / value[..., -1:].clamp(min=0.5) for value in values]
-        cameras = torch.stack(weights).sum(0)
-        mean, far = torch.zeros_like(colors[0]), torch.zeros_like(colors[0])
-        for weight, value in zip(weights, colors, strict=True):
-            mean += weight * value / cameras.clamp(min=1)
-        for weight, value in zip(weights, colors, strict=True):
-            far += weight * (value - mean).abs() / cameras.clamp(min=1)
-        found.append((mean.mT, far.mean(-1), cameras.squeeze(-1)))
-    color, deviation, cameras = (torch.stack(parts) for parts in zip(*found, strict=True))
-    return AppearanceAtDepth(color, deviation, cameras)
+        for sample, offset, inverse_depth in zip(rows, offsets, inverse_depths, strict=True)
+    ]
+    parts = [[torch.cat(values, -1) for values in zip(*chunks, strict=True)] for chunks in samples]
+    return AppearanceAtDepth(*(torch.stack(values) for values in zip(*parts, strict=True)))
 
 
-def _looked_up(
-    rows: Tensor, locator: TriangleLocator, vertices: Tensor, offset: Tensor, inverse_depth: Tensor
-) -> Tensor:
-    """Values ``(K, V, C)`` of an image ``(V_image, C)`` in the directions of points at inverse depths ``(K, V)``."""
-    count = inverse_depth.numel()
-    values = []
-    rays = (vertices[:, None] + offset[:, None, None] * inverse_depth).reshape(3, count)
-    for part in rays.split(locator.chunk_size, 1):
-        triangles, shares = locator.find(part)
+def _seen_by_all(
+    rows: Tensor, locator: TriangleLocator, vertices: Tensor, inverse_depth: Tensor, offsets: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Color ``(K, C, V)``, deviation and cameras ``(K, V)`` of some vertices, so few that they stay in the cache."""
+    weights, colors = [], []
+    for row, offset in zip(rows, offsets, strict=True):
+        triangles, shares = locator.find(
+            (vertices[:, None] + offset[:, None, None] * inverse_depth).flatten(1)
+        )
         bags = locator.faces.index_select(0, triangles)
-        values.append(F.embedding_bag(bags, rows, per_sample_weights=shares.T.to(rows), mode="sum"))
-    return torch.cat(values).view(*inverse_depth.shape, -1)
+        values = F.embedding_bag(bags, row, per_sample_weights=shares.T.to(row), mode="sum")
+        color, shown = values.T.contiguous().view(-1, *inverse_depth.shape).split((row.shape[1] - 1, 1))
+        weights.append((shown > 0.5).to(shown))
+        colors.append(color / shown.clamp(min=0.5))
+    cameras = torch.stack(weights).sum(0)
+    mean, far = torch.zeros_like(colors[0]), torch.zeros_like(colors[0])
+    for weight, color in zip(weights, colors, strict=True):
+        mean += weight * color / cameras.clamp(min=1)
+    for weight, color in zip(weights, colors, strict=True):
+        far += weight * (color - mean).abs() / cameras.clamp(min=1)
+    return mean.transpose(0, 1), far.mean(0), cameras[0]
 
 
 def _all_at_once(

@@ -11,7 +11,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from sphericalvision.core import constant_table
+from sphericalvision.core import ArgumentError, constant_table
 from sphericalvision.crown import HexConv2d
 from sphericalvision.icosphere import (
     icosphere_neighbors,
@@ -80,15 +80,20 @@ class CandidateRefinement(nn.Module):
         state: channels of ``FusedLogits``.
         width: channels of the convolutions.
         blocks: residual blocks.
+        colors: of how many candidates it sees what cameras see there: of all 4, or of 3, not of the mean. Where the
+            mean is a depth of something, the nearest and the farthest are close to it.
 
     References:
         Bleyer et al. (2011), "PatchMatch stereo", for candidates from the surroundings; Tankovich et al. (2021),
         "HITNet: hierarchical iterative tile refinement network".
     """
 
-    def __init__(self, state: int, width: int = 16, blocks: int = 1) -> None:
+    def __init__(self, state: int, width: int = 16, blocks: int = 1, colors: int = 4) -> None:
         super().__init__()
-        self.entry = HexConv2d(state + 4 * 4 + 7, width, bias=True)
+        if colors not in {3, 4}:
+            raise ArgumentError(f"colors: expected those of 3 or 4 candidates, got {colors!r}")
+        self.colors = colors
+        self.entry = HexConv2d(state + 2 * 4 + 2 * colors + 7, width, bias=True)
         self.block = nn.Sequential(*(HexResidualBlock(width) for _ in range(blocks)))
         self.exit = HexConv2d(width, 4 + 3, bias=True)
         with torch.no_grad():
@@ -106,20 +111,21 @@ class CandidateRefinement(nn.Module):
 
         Args:
             candidates: of ``candidates_of``.
-            appearance: what cameras see at them, K = 4.
+            appearance: what cameras see at the last of them, K = colors.
             state: ``(B, S, V_coarse)`` one level coarser.
             num_hypotheses: N.
         """
         index, likely, step, spread = candidates
         color, deviation, cameras = appearance
+        near, far = color[:, -3], color[:, -2]
         mean = index[:, :1]
         entries = (
             ((index - mean) / 4).detach().clamp(-2, 2),
             3 * deviation,
             cameras / 4,
             likely,
-            color[:, 0],
-            (color[:, 1] - color[:, 2]).abs().mean(1, keepdim=True),
+            color[:, 0] if self.colors == 4 else (near + far) / 2,
+            (near - far).abs().mean(1, keepdim=True),
             mean.detach() / num_hypotheses,
             step[:, None] / 4,
             spread[:, None] / 4,
@@ -129,6 +135,8 @@ class CandidateRefinement(nn.Module):
         correction, confidence, sky = (values.squeeze(1) for values in others)
         weights = scores.softmax(1)
         chosen = ((weights * index).sum(1) + correction).clamp(0, num_hypotheses - 1)
+        if self.colors == 3:
+            cameras = torch.cat((cameras[:, :2].amin(1, keepdim=True), cameras), 1)
         seen = cameras.gather(1, weights.max(1, keepdim=True).indices).squeeze(1) >= 2
         with torch.no_grad():
             others = weights.masked_fill((index - chosen[:, None]).abs() < 1, -1.0)

@@ -135,6 +135,8 @@ class RefinedSweepNet(DepthNetwork):
         widths: channels of the fusion's U-Net at each level, from ``coarse_level`` on.
         blocks: residual blocks of the U-Net, one number or one a level.
         refining_blocks: residual blocks of the refinement.
+        refining_colors: of how many of its four candidates the refinement sees what cameras see, see
+            ``CandidateRefinement``.
         coarse_level: of clues and fusion, at most ``level - 1``, which it is when not given.
 
     Raises:
@@ -166,6 +168,7 @@ class RefinedSweepNet(DepthNetwork):
         widths: Sequence[int] = (32, 48, 64, 96, 96),
         blocks: int | Sequence[int] = (1, 2, 2, 3, 3),
         refining_blocks: int = 2,
+        refining_colors: int = 4,
         coarse_level: int | None = None,
     ) -> None:
         if not widths:
@@ -186,7 +189,7 @@ class RefinedSweepNet(DepthNetwork):
         scale = {"level": self.coarse_level + 1, "num_hypotheses": inner_hypotheses, "min_depth": min_depth}
         self.prior = IcoSweepNet(**{**(PRIOR if prior is None else prior), **scale})
         self.fusion = LogitFusion(inner_hypotheses, tuple(widths), STATE, blocks)
-        self.refinement = CandidateRefinement(STATE, blocks=refining_blocks)
+        self.refinement = CandidateRefinement(STATE, blocks=refining_blocks, colors=refining_colors)
         self.register_buffer("up", -icosphere_vertices(self.coarse_level)[:, 1], persistent=False)
 
     @classmethod
@@ -345,7 +348,8 @@ class RefinedSweepNet(DepthNetwork):
         modes = None
         for number, (images, seen) in enumerate(views):
             candidates = candidates_of(fused, modes, None if hints is None else hints[number])
-            appearance = self._appearance(candidates.index, images, seen, offsets)
+            looked_at = candidates.index[:, -self.refinement.colors :]
+            appearance = self._appearance(looked_at, images, seen, offsets)
             refined: RefinedIndex = self.refinement(
                 candidates, appearance, fused.state, self.inner_hypotheses
             )

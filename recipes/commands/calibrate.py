@@ -288,6 +288,17 @@ def _report(result: RefinedRig, pictures: Pictures) -> None:
         console.print(
             f"{left_out} of {int(pictures.seen.sum())} corners left out: too far off, or too few on a picture"
         )
+    astray = [
+        moment[name]
+        for number, moment in enumerate(pictures.labels)
+        for place, name in enumerate(names)
+        if int(pictures.seen[number, place].sum()) >= FEWEST and not bool(used[number, place].any())
+    ]
+    if astray:
+        print(
+            f"Warning: {', '.join(astray[:MOST_PICTURES])}{' ...' if len(astray) > MOST_PICTURES else ''} left out: the "
+            "board stands elsewhere than in the other cameras' pictures of the moment"
+        )
     for line in _poses(result.rig, used):
         console.print(line)
     console.print(f"RMS {result.rms_error:.3f} px")

@@ -103,6 +103,24 @@ def test_corners_that_are_wrong_are_left_out() -> None:
     assert_poses(result.rig, rig)
 
 
+@pytest.mark.parametrize("shift", [[30.0, 0.0], [5.0, 5.0], [-20.0, 30.0]])
+@pytest.mark.parametrize(("cameras", "astray"), [(2, [(0, 1)]), (3, [(0, 1), (3, 2), (5, 1)])])
+def test_a_board_that_moved_between_two_pictures_is_left_out(
+    cameras: int, astray: list[tuple[int, int]], shift: list[float]
+) -> None:
+    """As a whole, by some pixels in one camera: it moves no pose, and has no error, however it is counted."""
+    rig, board = truth(cameras), grid_of(8, 6)
+    pixels, seen = seen_by(rig, board)
+    for view, place in astray:
+        pixels[view, place] += torch.tensor(shift)
+    pixels[4, 1], seen[4, 1] = pixels[4, 1].flip(0), seen[4, 1].flip(0)
+    result = calibrated(board, pixels, seen)
+    assert result.rms_error < 0.1
+    assert_poses(result.rig, rig)
+    gone = (result.residuals.abs().sum(-1) == 0).all(-1) & seen.any(-1)
+    assert sorted(map(tuple, gone.nonzero().tolist())) == sorted(astray)
+
+
 def test_a_pair_of_cameras_starts_where_most_views_say() -> None:
     """The first view that they share may be of two moments."""
     rig = truth()

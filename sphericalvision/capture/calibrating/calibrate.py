@@ -35,7 +35,7 @@ _REACH = 1.05
 """Times the largest angle from the axis of any point seen: where a lens ends."""
 _AGREES = 0.2
 """Times the distance between poses as they are, below which they agree once an object is counted from its other end."""
-_APART, _PIXELS = 5.0, 3.0
+_APART, _PIXELS = 5.0, 1.0
 """Times the error of a camera alone, and pixels, above which it contradicts the others."""
 
 
@@ -109,7 +109,8 @@ def calibrate_rig(
 
     Each camera alone by ``calibrate_camera``; then, along the pairs that saw the object together most often, the poses
     from where both say that it stood; then everything together by ``refine_rig``, twice: points that miss by more than
-    4.5 times the median are left out the second time. The world is the first camera. What lies more than 5 % beyond the
+    4.5 times the median are left out the second time, and views that do so as a whole, by where the other cameras say
+    that the object stood, from the first. The world is the first camera. What lies more than 5 % beyond the
     outermost point that was seen counts as out of view: nothing is known of the lens there. A board that looks the same
     upside down, with inner corners that are even or odd both ways, may be counted from its other end by some cameras:
     they are told by their poses.
@@ -175,14 +176,17 @@ def calibrate_rig(
     poses = _poses(names, alone, half_turn)
     turned = _turned(poses, alone, half_turn)
     pixels, seen = _renumbered(pixels, turned), _renumbered(seen, turned)
+    for view, place in turned:
+        alone[names[place]][1][view] = alone[names[place]][1][view] @ half_turn
     rig = CameraRig({name: camera for name, (camera, _) in alone.items()}, poses)
     free = sorted({name for camera in rig.cameras.values() for name in refinable_intrinsics(camera)})
-    refined = refine_rig(rig, points, pixels, seen, intrinsics=free)
+    agreeing = seen & ~_astray(rig, alone, points, pixels, seen)[..., None]
+    refined = refine_rig(rig, points, pixels, agreeing, intrinsics=free)
     misses = refined.residuals.norm(dim=-1)
     typical = float(misses[misses > 0].median()) if bool((misses > 0).any()) else 0.0
     wrong = misses > max(_WRONG * typical, 1e-6)
     if bool(wrong.any()):
-        refined = refine_rig(refined.rig, points, pixels, seen & ~wrong, intrinsics=free)
+        refined = refine_rig(refined.rig, points, pixels, agreeing & ~wrong, intrinsics=free)
     _check_agreement(names, refined, seen, errors)
     cameras = {
         name: camera.with_max_angle(min(_REACH * _farthest(refined, place, pixels), float(camera.max_angle)))
@@ -231,6 +235,34 @@ def _renumbered(values: Tensor, turned: list[tuple[int, int]]) -> Tensor:
     for view, place in turned:
         values[view, place] = values[view, place].flip(0)
     return values
+
+
+def _astray(
+    rig: CameraRig,
+    alone: Mapping[str, tuple[Camera, dict[int, Tensor]]],
+    points: Tensor,
+    pixels: Tensor,
+    seen: Tensor,
+) -> Tensor:
+    """Views of cameras (n, cameras) that show the object elsewhere than the camera whose pose the others agree with.
+
+    Least squares would spread what is wrong in one view over the poses of all cameras.
+    """
+    errors = torch.zeros(seen.shape[:2], dtype=torch.float64)
+    for view in range(len(seen)):
+        places = [place for place, (_, poses) in enumerate(alone.values()) if view in poses]
+        if len(places) < 2:
+            continue
+        stood = rig.world_from_camera[places] @ torch.stack([alone[rig.names[at]][1][view] for at in places])
+        apart = torch.cdist(stood.flatten(1), stood.flatten(1)).sum(-1)
+        reference = int(apart.argmin())
+        for place in places[:reference] + places[reference + 1 :]:
+            visible = seen[view, place].cpu()
+            local = transform_points(rig.camera_from_world[place] @ stood[reference], points.to(stood)[visible])
+            misses = alone[rig.names[place]][0].project(local).pixels - pixels[view, place].to(stood)[visible]
+            errors[view, place] = misses.norm(dim=-1).nan_to_num(torch.inf).median()
+    limit = max(_WRONG * float(errors[errors > 0].median()), _PIXELS) if bool(errors.any()) else torch.inf
+    return errors > limit
 
 
 def _check_agreement(names: list[str], refined: RefinedRig, seen: Tensor, errors: Sequence[float]) -> None:

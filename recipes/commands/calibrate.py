@@ -295,9 +295,9 @@ def _report(result: RefinedRig, pictures: Pictures) -> None:
         if int(pictures.seen[number, place].sum()) >= FEWEST and not bool(used[number, place].any())
     ]
     if astray:
+        some = ", ".join(astray[:MOST_PICTURES]) + (" ..." if len(astray) > MOST_PICTURES else "")
         print(
-            f"Warning: {', '.join(astray[:MOST_PICTURES])}{' ...' if len(astray) > MOST_PICTURES else ''} left out: the "
-            "board stands elsewhere than in the other cameras' pictures of the moment"
+            f"Warning: {some} left out: the board stands elsewhere than in the others' pictures of the moment"
         )
     for line in _poses(result.rig, used):
         console.print(line)

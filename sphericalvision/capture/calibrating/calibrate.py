@@ -258,7 +258,9 @@ def _astray(
         reference = int(apart.argmin())
         for place in places[:reference] + places[reference + 1 :]:
             visible = seen[view, place].cpu()
-            local = transform_points(rig.camera_from_world[place] @ stood[reference], points.to(stood)[visible])
+            local = transform_points(
+                rig.camera_from_world[place] @ stood[reference], points.to(stood)[visible]
+            )
             misses = alone[rig.names[place]][0].project(local).pixels - pixels[view, place].to(stood)[visible]
             errors[view, place] = misses.norm(dim=-1).nan_to_num(torch.inf).median()
     limit = max(_WRONG * float(errors[errors > 0].median()), _PIXELS) if bool(errors.any()) else torch.inf

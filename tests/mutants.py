@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Small changes of the code, and how many of them no quick test notices: ``make mutants``.
 
-mutmut makes the changes, in the files that ``[tool.mutmut]`` in pyproject.toml names, and tries each against the tests
-that call the changed function. All of them would take days, so as many are drawn for each room; the same code and seed
+mutmut makes the changes, in the files of one room after the other, and tries each against those of the room's tests
+that call the changed function. All changes would take days, so as many are drawn for each room; the same code and seed
 draw the same ones. They are made in a copy, ``build/mutants``, where recipes lie in the package that they are installed
-as: mutmut changes what is imported from its folder.
+as: mutmut changes what is imported from its folder. Rooms and their tests are in ``ROOMS``.
 
 python -m tests.mutants --each 80 --seed 0     # draw, try, and show what survived
 python -m tests.mutants --only data metrics    # of the rooms whose patterns have one of these words
-python -m tests.mutants --list                 # only their names, for ``mutmut run`` and ``mutmut show`` there
+python -m tests.mutants --list                 # only their names
 """
 
 import argparse
@@ -19,14 +19,48 @@ import random
 import shutil
 import subprocess
 import sys
+from collections import Counter
 from math import sqrt
 from pathlib import Path
 
-from mutmut.configuration import config
 from mutmut.mutation.file_mutation import mutate_file_contents
 from mutmut.stats import status_by_exit_code
 
 TREE = Path("build/mutants")
+
+CALIBRATING = [f"tests/capture/test_{name}.py" for name in ("boards", "calibrate_rig", "refine", "alignment")]
+ROOMS = {
+    "sphericalvision/sweep/*.py": ["tests/sweep", "tests/models"],
+    "sphericalvision/cameras/rig.py": ["tests/cameras/test_rig.py", "tests/cameras/test_golden_rig.py"],
+    "sphericalvision/capture/*.py": [
+        "tests/capture",
+        "captures",
+        "predict",
+        "predict_streams",
+        "predict_moving",
+        "align",
+    ],
+    "sphericalvision/models/*.py": ["tests/models"],
+    "sphericalvision/capture/calibrating/*.py": [
+        *CALIBRATING,
+        "tests/capture/test_direct_alignment.py",
+        "calibrate",
+        "align",
+    ],
+    "sphericalvision/metrics/*.py": ["tests/metrics"],
+    "sphericalvision/losses/*.py": ["tests/losses"],
+    "sphericalvision/data/*.py": ["tests/data", "scanned"],
+    "sphericalvision/scenes/rendering/*.py": ["tests/scenes"],
+    "sphericalvision/recipes/evaluation/*.py": [
+        "evaluate",
+        "depth_benchmark",
+        "study",
+        "results",
+        "rectified_sgbm",
+    ],
+}
+"""Files, as patterns in which a star matches folders, too, and the tests that look after them, by path or by the name
+of one of recipes."""
 
 
 def copy_code() -> None:
@@ -40,16 +74,15 @@ def copy_code() -> None:
             shutil.copy2(name, TREE / name)
 
 
-def mutants() -> dict[str, list[str]]:
-    """The names of all changes, by the pattern of files that they are of."""
-    rooms: dict[str, list[str]] = {pattern: [] for pattern in config().only_mutate}
+def mutants(pattern: str) -> list[str]:
+    """The names of all changes of the files of a room."""
+    names = []
     for path in sorted(Path("sphericalvision").rglob("*.py")):
-        for room in (room for room in rooms if fnmatch.fnmatch(str(path), room)):
+        if fnmatch.fnmatch(str(path), pattern):
             module = ".".join(path.with_suffix("").parts).removesuffix(".__init__")
-            rooms[room] += [
-                f"{module}.{name}" for name in mutate_file_contents(str(path), path.read_text()).mutant_names
-            ]
-    return rooms
+            made = mutate_file_contents(str(path), path.read_text()).mutant_names
+            names += [f"{module}.{name}" for name in made]
+    return names
 
 
 def wilson(noticed: int, tried: int) -> tuple[float, float]:
@@ -59,38 +92,34 @@ def wilson(noticed: int, tried: int) -> tuple[float, float]:
     return (centre - half) / (1 + z * z / tried), (centre + half) / (1 + z * z / tried)
 
 
-def drawn(each: int, seed: int, only: list[str]) -> dict[str, tuple[list[str], int]]:
-    """A sample of the changes of each room, and how many there are."""
-    return {
-        room: (sorted(random.Random(seed).sample(names, min(each, len(names)))), len(names))
-        for room, names in mutants().items()
-        if any(word in room for word in only)
-    }
-
-
-def try_them(rooms: dict[str, tuple[list[str], int]]) -> None:
-    """Try the changes, show those that no test notices, and print the table."""
-    every = list(dict.fromkeys(name for names, _ in rooms.values() for name in names))
-    subprocess.run([sys.executable, "-m", "mutmut", "run", *every], check=True)
+def try_them(pattern: str, names: list[str]) -> set[str] | None:
+    """Try the changes of a room, show those that no test notices, and say which are; None without a result."""
+    tests = [test if "/" in test else f"tests/recipes/test_{test}.py" for test in ROOMS[pattern]]
+    settings = {"only_mutate": [pattern], "pytest_add_cli_args_test_selection": tests}
+    lines = "".join(f"{key} = {json.dumps(value)}\n" for key, value in settings.items())
+    text = ORIGINAL.replace(HEADING, f"[tool.mutmut]\n{lines}")
+    Path("pyproject.toml").write_text(text)
+    shutil.rmtree("mutants", ignore_errors=True)  # with what it says of the tests of another room
+    if subprocess.run([sys.executable, "-m", "mutmut", "run", *names], check=False).returncode:
+        return None
     exits: dict[str, int | None] = {}
     for meta in Path("mutants/sphericalvision").rglob("*.meta"):
         exits |= json.loads(meta.read_text())["exit_code_by_key"]
-    ends = {name: status_by_exit_code[exits[name]] for name in every}
+    ends = {name: status_by_exit_code[exits[name]] for name in names}
     # Suspicious is what ends otherwise: with such a change tests cannot even be collected.
     noticed = {name for name, end in ends.items() if end in ("killed", "timeout", "segfault", "suspicious")}
-    for name in every:
+    for name in names:
         if name not in noticed:
             print(f"\n# {name}: {ends[name]}", flush=True)
             subprocess.run([sys.executable, "-m", "mutmut", "show", name], check=True)
-    print("\nnoticed / tried of all, their share and its interval of 95 %")
-    for room, (names, total) in {
-        **rooms,
-        "together": (every, sum(total for _, total in rooms.values())),
-    }.items():
-        killed = len(noticed.intersection(names))
-        low, high = wilson(killed, len(names))
-        share = f"{killed / len(names):.0%} ({low:.0%} to {high:.0%})"
-        print(f"{killed:4} / {len(names):3} of {total:6,} {share:18} {room}")
+    return noticed
+
+
+def line(noticed: int, tried: int, total: int, room: str) -> str:
+    """A line of the table."""
+    low, high = wilson(noticed, tried)
+    share = f"{noticed / tried:.0%} ({low:.0%} to {high:.0%})"
+    return f"{noticed:4} / {tried:3} of {total:6,} {share:18} {room}"
 
 
 if __name__ == "__main__":
@@ -104,8 +133,22 @@ if __name__ == "__main__":
     args = parser.parse_args()
     copy_code()
     os.chdir(TREE)
-    sample = drawn(args.each, args.seed, args.only)
-    if args.list:
-        print("\n".join(name for names, _ in sample.values() for name in names))
-    else:
-        try_them(sample)
+    ORIGINAL, HEADING = Path("pyproject.toml").read_text(), "[tool.mutmut]\n"
+    assert HEADING in ORIGINAL
+    counts, lines, broken = Counter[str](), [], []
+    for room in (room for room in ROOMS if any(word in room for word in args.only)):
+        every = mutants(room)
+        sample = sorted(random.Random(args.seed).sample(every, min(args.each, len(every))))
+        if args.list:
+            print("\n".join(sample))
+        elif (noticed := try_them(room, sample)) is None:
+            broken.append(room)
+        else:
+            counts.update(noticed=len(noticed), tried=len(sample), total=len(every))
+            lines.append(line(len(noticed), len(sample), len(every), room))
+            print(f"\n{lines[-1]}", flush=True)
+    if lines:
+        print("\nnoticed / tried of all, their share and its interval of 95 %")
+        print("\n".join([*lines, line(counts["noticed"], counts["tried"], counts["total"], "together")]))
+    if broken:
+        sys.exit(f"no result, since tests fail without a change: {', '.join(broken)}")

@@ -12,7 +12,7 @@ __all__ = ["SAME_TIME", "are_counts", "nearest_in_time", "seconds"]
 SAME_TIME = 0.02
 """Seconds between what was taken at one time, at most."""
 
-_NUMBER = re.compile(r"\d+(\.\d*)?(e[+-]?\d+)?", re.IGNORECASE)
+_NUMBER = re.compile(r"-?\d+(\.\d*)?(e[+-]?\d+)?", re.IGNORECASE)
 _PARTS = re.compile(r"(\d{1,11})_(\d{1,9})")
 _UNITS = ((1e12, 4.2e12, 1e-3), (1e15, 4.2e15, 1e-6))
 """From, to and seconds: times since 1970 from 2001 to 2103 in milliseconds and microseconds."""
@@ -23,9 +23,9 @@ _NANOSECONDS_FROM = 1e13
 def seconds(names: Sequence[str]) -> list[float | None]:
     """The time in seconds that each name tells; None of a name that tells none.
 
-    A time is a number, with decimals or an exponent or without: nanoseconds, microseconds, milliseconds or seconds by
-    its magnitude; or two numbers, seconds and their fraction in nanoseconds, or in microseconds where no name of all
-    has more than six digits of it. A word before the first underscore does not matter (``cloud_...``).
+    A time is a number, with a sign, decimals or an exponent or without: nanoseconds, microseconds, milliseconds or
+    seconds by its magnitude; or two numbers, seconds and their fraction in nanoseconds, or in microseconds where no
+    name of all has more than six digits of it. A word before the first underscore does not matter (``cloud_...``).
 
     Examples:
         >>> seconds(["cloud_1700000000_250000000", "1700000000.25", "1700000000250000000", "1.70000000025e+18"])

@@ -57,7 +57,22 @@ TABLES = {
     "no comment": table(way(), "time,x,y,z,qx,qy,qz,qw", W_LAST),
     "turn before place": table(way(), "# t qx qy qz qw x y z", "qx qy qz qw x y z", " "),
     "prose": table(way(), "# ground truth trajectory by x, y and z", W_LAST, " "),
+    "semicolons": table(way(), "time;x;y;z;qx;qy;qz;qw", W_LAST, ";"),
+    "tabs": table(way(), "time\tx\ty\tz\tqx\tqy\tqz\tqw", W_LAST, "\t"),
+    "quoted": table(way(), '"time","tx","ty","tz","qx","qy","qz","qw"', W_LAST),
+    "an end of lines of Windows": table(way(), EUROC, W_FIRST, ",", ",0.5\r"),
 }
+
+
+COMMAS = [
+    tum(way()),
+    table(way(), "time;x;y;z;qx;qy;qz;qw", W_LAST, ";"),
+    table(way(), "time\tx\ty\tz\tqx\tqy\tqz\tqw", W_LAST, "\t"),
+]
+
+
+def decimal_commas(text: str) -> str:
+    return text.replace(".", ",")
 
 
 def kitti(poses: torch.Tensor, rows: int, numbered: bool) -> str:
@@ -104,6 +119,11 @@ def test_images_of_colmap_come_in_the_order_of_their_names(file: str, tmp_path: 
         ("0.1 0 0 0 0 0 0 1\n0.2 0 0 0 0 0 0 0.5", "line 2: expected a quaternion of length 1"),
         ("0.1 0 0 0 0 0 0 1\n0.2 0 0 0 0 0 0", "line 2: expected 8 numbers, got 7"),
         ("0.1 0 0 0 0 0 0 1\n0.1 1 0 0 0 0 0 1", r"two poses are called 0\.1"),
+        ("0.1 0 0 0 0 0 0 1\n0.100 1 0 0 0 0 0 1", r"two poses are called 0\.100"),
+        ("0.1 0 0 0 0 0 0 1\n0.2 1e30 0 0 0 0 0 1", r"more than 1e\+08 m from the origin; expected metres"),
+        ("0.1 0 0 0 0 0 0 1\n0.2 nan 0 0 0 0 0 1", "line 2: expected finite numbers"),
+        ("-1 0 0 0 0 1 0 0 0 0 1 0", "line 1: expected a rotation"),  # a mirror
+        *((decimal_commas(text), "line 2: decimals have commas") for text in COMMAS),
         ("1 0 0 0 0 2 0 0 0 0 1 0", "line 1: expected a rotation"),
     ],
 )
@@ -111,6 +131,21 @@ def test_broken_files_are_told_by_their_line(text: str, message: str, tmp_path: 
     (tmp_path / "poses.txt").write_text(text)
     with pytest.raises(FileFormatError, match=message):
         read_trajectory(tmp_path / "poses.txt")
+
+
+def test_the_other_order_of_quaternions_is_told(tmp_path: Path) -> None:
+    """A way that begins with w first and no turn: nothing else writes half a turn about x."""
+    lines = [f"{number / 10:.1f} 0 0 {number} 1 0 0 0" for number in range(4)]
+    (tmp_path / "way.txt").write_text("\n".join(lines))
+    with pytest.warns(
+        UserWarning, match="line 1: 1 0 0 0 is half a turn about x.*# time tx ty tz qw qx qy qz"
+    ):
+        half_turns = read_trajectory(tmp_path / "way.txt").world_from_camera
+    assert (half_turns[:, 1, 1] == -1).all()
+    (tmp_path / "way.txt").write_text("\n".join(["# time tx ty tz qw qx qy qz", *lines]))
+    assert torch.equal(
+        read_trajectory(tmp_path / "way.txt").world_from_camera[:, 1, 1], torch.ones(4).double()
+    )
 
 
 def test_what_is_not_there_is_told(tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ def test_one_time_in_any_two_spellings_is_one_time(
 
 
 def test_words_tell_no_time_and_small_numbers_may_be_counts() -> None:
-    assert seconds(["left", "a_b", "", "12", "0.5", "-3"]) == [None, None, None, 12.0, 0.5, None]
+    assert seconds(["left", "a_b", "", "12", "0.5", "-3"]) == [None, None, None, 12.0, 0.5, -3.0]
     assert are_counts(["000001", "12"])
     assert not are_counts(["000001", "12.0"])
     assert nearest_in_time([1.0, None], []) == [None, None]

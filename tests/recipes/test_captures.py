@@ -175,6 +175,21 @@ def test_special_characters_in_folders_are_literal(tmp_path: Path) -> None:
     assert list(find_capture(root + "/cam{camera}/{frame}.png", NAMES)) == ["1"]
 
 
+@pytest.mark.parametrize(
+    "names",
+    [["cam[0]", "cam[1]", "cam*"], ["cam¹", "cam²", "cam³"], ["a b", "it's", "{x}"], ["-1", "..", "?"]],
+    ids=str,
+)
+def test_special_characters_in_names_are_literal(tmp_path: Path, names: list[str]) -> None:
+    """Of cameras and of frames, which come after numbers."""
+    frames = ["2", "10", "²", "[x]"]
+    root = touch(tmp_path, *(f"{name}_/{frame}.png" for name in names for frame in frames))
+    capture = find_capture(root + "/{camera}_/{frame}.png", names)
+    assert sorted(capture, key=frames.index) == frames
+    assert list(capture).index("2") < list(capture).index("10")
+    assert all(files[name].parent.name == f"{name}_" for files in capture.values() for name in names)
+
+
 def test_relative_patterns_start_in_the_working_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -156,7 +156,7 @@ def _ocam(path: Path) -> OCamCamera:
 
 
 def _natural(path: Path) -> list[int | str]:
-    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.stem)]
+    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", path.stem)]
 
 
 def _folder_contents(folder: Path, options: Options) -> Contents:

@@ -13,6 +13,7 @@ References:
 from __future__ import annotations
 
 import re
+import warnings
 from pathlib import Path
 
 import torch
@@ -25,6 +26,7 @@ from sphericalvision.cameras.calibration.poses import transform_from_numbers, tr
 from sphericalvision.cameras.trajectory import Trajectory
 from sphericalvision.core import FileFormatError, MissingFileError, check_file
 from sphericalvision.geometry import invert_transform
+from sphericalvision.io.times import seconds
 
 __all__ = ["read_trajectory"]
 
@@ -36,6 +38,8 @@ EXPECTED = (
 COLUMNS = ("time", "x", "y", "z", "qw", "qx", "qy", "qz")
 TUM = (0, 1, 2, 3, 7, 4, 5, 6)
 """Where ``COLUMNS`` stand in a line of TUM's."""
+FARTHEST = 1e8
+"""Metres from the origin; no place on Earth is as far from its centre."""
 _HEADERS = {"time": re.compile(r"(?i)time|t|(time)?_?stamp(_?n?s)?|time_?n?s|n?sec")} | {
     name: re.compile(rf"(?i)(q|q_|q_\w+_|quat(ernion)?[_.]?|orientation[_.]?){name[1]}")
     if name.startswith("q")
@@ -95,6 +99,12 @@ def read_trajectory(path: str | Path) -> Trajectory:
             f"{path}, line {first}: {count} values, but the header names {len(header)} columns ({' '.join(header)}); "
             "correct the header, which decides their order, or remove it"
         )
+    if header is None and count == 8 and numbers(words, f"{path}, line {first}")[4:] == [1.0, 0.0, 0.0, 0.0]:
+        warnings.warn(
+            f"{path}, line {first}: 1 0 0 0 is half a turn about x, as qx comes first where no header says otherwise; "
+            "if qw does, put a line before all others: # time tx ty tz qw qx qy qz",
+            stacklevel=2,
+        )
     names, poses = [], []
     for row, (line, words) in enumerate(lines):
         where = f"{path}, line {line}"
@@ -113,7 +123,8 @@ def read_trajectory(path: str | Path) -> Trajectory:
 def _table(path: Path) -> tuple[list[str] | None, list[tuple[int, list[str]]]]:
     """The names of the columns if a line names time, place and turn, and the lines of values with their numbers.
 
-    Commas separate values where there is such a header; where there is none their order is not known, and they stay.
+    Commas and semicolons separate values where there is such a header; where there is none their order is not known,
+    and they stay.
     """
     header, lines = None, []
     for number, line in enumerate(read_text(path).splitlines(), start=1):
@@ -121,14 +132,18 @@ def _table(path: Path) -> tuple[list[str] | None, list[tuple[int, list[str]]]]:
             header = names
             continue
         text = line.split("#")[0]
-        if words := (text.split() if header is None else text.replace(",", " ").split()):
+        if re.search(r"\d,\d+[;\s]+[-+\d]", text):
+            raise FileFormatError(
+                f"{path}, line {number}: decimals have commas; write them with points, 0.25 in place of 0,25"
+            )
+        if words := (text.split() if header is None else re.sub("[,;]", " ", text).split()):
             lines.append((number, words))
     return header, lines
 
 
 def _columns(line: str) -> list[str] | None:
     """What the words of a header stand for, one of ``COLUMNS`` or as they are; None of any other line."""
-    words = re.sub(r"[\[(][^])]*[])]|#", " ", line).replace(",", " ").split()
+    words = re.sub(r"[\[(][^])]*[])]|[#,;\"]", " ", line).split()
     names = [
         next((to for to, pattern in _HEADERS.items() if pattern.fullmatch(word)), word) for word in words
     ]
@@ -152,9 +167,13 @@ def _of_images(path: Path) -> Trajectory:
 def _trajectory(
     names: list[str], poses: list[Tensor], path: Path, names_are_rows: bool = False
 ) -> Trajectory:
-    seen: set[str] = set()
-    for name in names:
-        if name in seen:
+    seen: set[str | float] = set()
+    for name, time in zip(names, seconds(names), strict=True):
+        key = name if time is None or name[0].isalpha() else time  # left_0.1 and right_0.1 are two images
+        if key in seen:
             raise FileFormatError(f"{path}: two poses are called {name}; expected one a time or image")
-        seen.add(name)
-    return Trajectory(names, torch.stack(poses), names_are_rows)
+        seen.add(key)
+    places = torch.stack(poses)
+    if (places[:, :3, 3].abs() > FARTHEST).any():
+        raise FileFormatError(f"{path}: a pose is more than {FARTHEST:g} m from the origin; expected metres")
+    return Trajectory(names, places, names_are_rows)

@@ -410,7 +410,7 @@ def _files(pattern: str, label: str, others: Container[Path] = ()) -> dict[str, 
         glob += re.sub(r"([*?\[])", r"[\1]", text)
         expression += re.escape(text)
         if field == "camera":
-            glob += label
+            glob += re.sub(r"([*?\[])", r"[\1]", label)
             expression += re.escape(label)
         elif field == "frame":
             digits = spec is not None and spec.endswith("d")

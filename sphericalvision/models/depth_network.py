@@ -399,6 +399,36 @@ class DepthNetwork(RemembersArguments):
             net.configure(recompute=True)
         return net.train(self.training)
 
+    def at_level(self, level: int) -> Self:
+        """Return a network for images on another icosphere that has this one's weights themselves, not copies of them.
+
+        What either of the two learns the other has learned. A network that is moved or cast leaves those that were made
+        of it before behind.
+
+        Args:
+            level: of the images.
+
+        Raises:
+            ArgumentError: this network has no such hyper-parameter, or its weights depend on it.
+
+        Examples:
+            >>> from sphericalvision.models import pretrained
+            >>> net = pretrained()
+            >>> coarser = net.at_level(5)
+            >>> coarser.level, next(coarser.parameters()) is next(net.parameters())
+            (5, True)
+        """
+        net = self.with_changes(level=level)
+        for name, part in net.named_modules():
+            own = self.get_submodule(name)
+            part._parameters = own._parameters
+            part._buffers |= {
+                key: buffer
+                for key, buffer in own._buffers.items()
+                if key not in own._non_persistent_buffers_set
+            }
+        return net
+
     def configure(self, recompute: bool) -> Self:
         """Choose whether training saves memory by computing the inside of blocks twice, a third more work.
 

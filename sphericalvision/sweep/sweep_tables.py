@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from itertools import product
 from typing import NamedTuple
 
 import torch
@@ -97,13 +96,19 @@ def sweep_tables(
     locator = TriangleLocator(feature_level, poses.dtype, poses.device)
     points, inverse_depths = directions.to(poses), inverse_depths.to(poses)
     batch = poses.shape[:-3]
-    rigs = [
-        _tables_of_one_rig(points, inverse_depths, offsets[index], axes[index], limits[index], locator)
-        for index in product(*map(range, batch))
-    ]
+    # A point in one camera has nothing to do with other cameras: those of all rigs are as good as those of one.
+    tables = _tables_of_one_rig(
+        points, inverse_depths, offsets.reshape(-1, 3), axes.reshape(-1, 3), limits.reshape(-1), locator
+    )
     if not batch:
-        return rigs[0]
-    return SweepTables(*(torch.stack(parts).unflatten(0, batch) for parts in zip(*rigs, strict=True)))
+        return tables
+    return SweepTables(*(_by_rig(part, batch) for part in tables))
+
+
+def _by_rig(part: Tensor, batch: torch.Size) -> Tensor:
+    """``(*batch, N, V, n, *)`` of a table ``(N, V, *batch * n, *)``."""
+    count = len(batch)
+    return part.unflatten(2, (*batch, -1)).movedim((0, 1), (count, count + 1)).contiguous()
 
 
 def _tables_of_one_rig(

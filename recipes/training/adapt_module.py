@@ -33,6 +33,7 @@ class AdaptModule(DepthModule):
     metric_names = ("photo-consistency",)
     unit = "share of what winner-takes-all reaches"
     learns_all = True
+    shows_hints = False  # there is no truth
 
     @cached_property
     def shares(self) -> list[float]:

@@ -68,6 +68,8 @@ DOUBTFUL = 2.0
 """Hypotheses: an answer that is expected to be as far off deserves no confidence."""
 FARTHEST = 0.06
 """Index of the farthest surface, 250 times as far as the nearest hypothesis; no rig tells that from infinity."""
+PRIOR_SHARE = 0.1
+"""Of the prior's own cross entropy in the loss."""
 RARE_SKY, MOST = 0.05, 4.0
 """Sky on a smaller share of the sphere counts in the training as if it were as large, but at most as many times."""
 
@@ -345,7 +347,17 @@ class RefinedSweepNet(DepthNetwork):
             offsets: of the tables.
             hints: at the levels of the views; none when not given.
         """
-        modes = None
+        return self.refinements(fused, views, offsets, hints)[-1]
+
+    def refinements(
+        self,
+        fused: FusedLogits,
+        views: Sequence[tuple[Tensor, Tensor]],
+        offsets: Float[Tensor, "*batch n 3"],
+        hints: Sequence[HintedIndex | None] | None = None,
+    ) -> list[RefinedIndex]:
+        """Return the answers at all levels from ``coarse_level + 1`` on; arguments as of ``refine``."""
+        modes, answers = None, []
         for number, (images, seen) in enumerate(views):
             candidates = candidates_of(fused, modes, None if hints is None else hints[number])
             looked_at = candidates.index[:, -self.refinement.colors :]
@@ -353,9 +365,10 @@ class RefinedSweepNet(DepthNetwork):
             refined: RefinedIndex = self.refinement(
                 candidates, appearance, fused.state, self.inner_hypotheses
             )
+            answers.append(refined)
             if number + 1 < len(views):
                 fused, modes = finer_logits(fused, refined.index), (refined.index, refined.second)
-        return refined
+        return answers
 
     def _appearance(self, index: Tensor, images: Tensor, seen: Tensor, offsets: Tensor) -> AppearanceAtDepth:
         """What cameras see at indices ``(B, K, V)``."""
@@ -395,11 +408,12 @@ class RefinedSweepNet(DepthNetwork):
         fixed: Mapping[str, Tensor] | None = None,
         hint: DepthHint | None = None,
     ) -> Float[Tensor, ""]:
-        """Return a loss of the index at both levels, of the logits, and of the confidence.
+        """Return a loss of the index at all levels, of the logits, of a prior that learns, and of the confidence.
 
-        What fewer than two cameras see counts a quarter. The logits' share is the cross entropy of the two hypotheses
-        around the true index. The confidence learns 1 less the error of the index, in halves of hypotheses up to two;
-        the sky, where the true index is 0: at infinity. Where there is little of it, behind windows, it counts more.
+        What fewer than two cameras see counts a quarter. The share of the logits, fused ones and the prior's, is the
+        cross entropy of the two hypotheses around the true index. Of the steps of the refinement the mean counts. The
+        confidence learns 1 less the error of the index, in halves of hypotheses up to two; the sky, where the true
+        index is 0: at infinity. Where there is little of it, behind windows, it counts more.
         """
         tables = rig if isinstance(rig, tuple) else self.training_tables(rig, bool(fixed))
         if isinstance(tables, RefinedTables):
@@ -420,26 +434,33 @@ class RefinedSweepNet(DepthNetwork):
             hint = DepthHint(torch.zeros_like(target), torch.zeros_like(target))
         hints = self.hints(hint)
         fused = self.fuse(clues, coarse, coarse_seen, tables.offsets, hints[0])
-        refined = self.refine(fused, views, tables.offsets, hints[1:])
         scale = (self.inner_hypotheses - 1) / (self.num_hypotheses - 1)
         true = (target * scale).clamp(0, self.inner_hypotheses - 1)
-        ids = ids_of_coarser_level(self.level, self.coarse_level, true.device)
-        coarse_true, coarse_valid = true[:, ids], valid[:, ids]
+
+        def at_level(level: int) -> tuple[Tensor, Tensor]:
+            ids = ids_of_coarser_level(self.level, level, true.device)
+            return true[:, ids], valid[:, ids]
+
+        steps = self.refinements(fused, views, tables.offsets, hints[1:])
+        total = torch.stack(
+            [
+                _loss_of_step(refined, *at_level(level), loss)
+                for level, refined in enumerate(steps, self.coarse_level + 1)
+            ]
+        ).mean()
+        coarse_true, coarse_valid = at_level(self.coarse_level)
         coarse_weights = torch.where(clues.cameras.amax(1) >= 2, 1.0, 0.25) * coarse_valid
-        weights = torch.where(refined.seen, 1.0, 0.25) * valid
-        entropy = _cross_entropy(fused.logits, coarse_true)
-        sure = 1 - (refined.index.detach() - true).abs().clamp(max=DOUBTFUL) / DOUBTFUL
-        doubt = F.binary_cross_entropy_with_logits(refined.confidence, sure, reduction="none")
-        sky = (target <= 0) & valid
-        rarity = (RARE_SKY / sky.float().mean(-1, keepdim=True).clamp(min=1e-6)).clamp(1, MOST)
-        sky_loss = F.binary_cross_entropy_with_logits(refined.sky, sky.to(sure), reduction="none")
-        doubt += sky_loss * torch.where(sky, rarity, 1.0)
-        return (
-            loss(refined.index, true, valid, weights=weights)
-            + 0.4 * loss(two_modes(fused.logits)[0], coarse_true, coarse_valid, weights=coarse_weights)
-            + 0.05 * mean_of_samples(entropy, coarse_weights)
-            + 0.1 * mean_of_samples(doubt, valid)
+        total = total + 0.4 * loss(
+            two_modes(fused.logits)[0], coarse_true, coarse_valid, weights=coarse_weights
         )
+        total = total + 0.05 * mean_of_samples(_cross_entropy(fused.logits, coarse_true), coarse_weights)
+        if self._prior_learns:
+            prior_level = self.coarse_level - 1
+            ids = ids_of_coarser_level(self.coarse_level, prior_level, true.device)
+            # The prior tries no hypotheses between the N.
+            entropy = _cross_entropy(clues.prior.float(), at_level(prior_level)[0] / 2)
+            total = total + PRIOR_SHARE * mean_of_samples(entropy, coarse_weights[:, ids])
+        return total
 
 
 @constant_table
@@ -451,6 +472,18 @@ def _spread_over(number: int, device: torch.device) -> Tensor:
 def _offsets(rig: CameraRig) -> Tensor:
     """``(*b, n, 3)`` from each camera to the rig's centre."""
     return rig.center[..., None, :] - rig.positions
+
+
+def _loss_of_step(refined: RefinedIndex, true: Tensor, valid: Tensor, loss: Callable[..., Tensor]) -> Tensor:
+    """Of index, confidence and sky at one level."""
+    weights = torch.where(refined.seen, 1.0, 0.25) * valid
+    sure = 1 - (refined.index.detach() - true).abs().clamp(max=DOUBTFUL) / DOUBTFUL
+    doubt = F.binary_cross_entropy_with_logits(refined.confidence, sure, reduction="none")
+    sky = (true <= 0) & valid
+    rarity = (RARE_SKY / sky.float().mean(-1, keepdim=True).clamp(min=1e-6)).clamp(1, MOST)
+    sky_loss = F.binary_cross_entropy_with_logits(refined.sky, sky.to(sure), reduction="none")
+    doubt = doubt + sky_loss * torch.where(sky, rarity, 1.0)
+    return loss(refined.index, true, valid, weights=weights) + 0.1 * mean_of_samples(doubt, valid)
 
 
 def _cross_entropy(logits: Tensor, index: Tensor) -> Tensor:

@@ -55,12 +55,11 @@ def random_rig(
     def uniform(low: float, high: float) -> float:
         return low + (high - low) * torch.rand((), generator=generator).item()
 
-    count = int(num_cameras[int(uniform(0, len(num_cameras)))])
-    ring = math.exp(uniform(math.log(radius[0]), math.log(radius[1])))
-    yaw, tilt = uniform(0, 2 * math.pi), math.radians(uniform(-15, 45))
-    field_of_view = math.radians(uniform(180, 240))
+    count, ring, yaw, tilt, field_of_view, panoramic = _ring_of_cameras(
+        generator, num_cameras, radius, panoramas
+    )
     camera: Camera
-    if uniform(0, 1) < panoramas:
+    if panoramic:
         height = round(image_size[0] * math.pi / math.radians(220) / 2) * 2
         camera = EquirectangularCamera((height, 2 * height))
     else:
@@ -82,6 +81,25 @@ def random_rig(
     return CameraRig([camera] * count, world_from_camera)
 
 
+def _ring_of_cameras(
+    generator: torch.Generator | None,
+    num_cameras: Sequence[int] = (2, 3, 4, 5, 6),
+    radius: tuple[float, float] = (0.08, 0.33),
+    panoramas: float = 0.2,
+) -> tuple[int, float, float, float, float, bool]:
+    """What all cameras of a random rig share: how many, radius, yaw, tilt, field of view, and if they are panoramas."""
+    number, far, yaw, tilt, view, kind = torch.rand(6, generator=generator).tolist()
+    least, most = map(math.log, radius)
+    return (
+        int(num_cameras[int(len(num_cameras) * number)]),
+        math.exp(least + (most - least) * far),
+        2 * math.pi * yaw,
+        math.radians(-15 + 60 * tilt),
+        math.radians(180 + 60 * view),
+        kind < panoramas,
+    )
+
+
 @dataclass(frozen=True)
 class LevelOrRandomRigs:
     """Rigs drawn one by one: level rings of four fisheyes of 220°, the common case, or ``random_rig``.
@@ -93,6 +111,16 @@ class LevelOrRandomRigs:
 
     level: float
     image_size: tuple[int, int]
+
+    def kind(self, generator: torch.Generator) -> tuple[int, bool]:
+        """The number of cameras of the rig that a generator stands for, and whether they are panoramas.
+
+        Rigs of one kind can be put into a batch. To draw the kind costs a hundredth of what the rig costs.
+        """
+        if torch.rand((), generator=generator) < self.level:
+            return 4, False
+        count, *_, panoramic = _ring_of_cameras(generator)
+        return count, panoramic
 
     def __call__(self, generator: torch.Generator) -> CameraRig:
         if torch.rand((), generator=generator) < self.level:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 from torch.utils.data import Dataset
 
@@ -22,7 +23,7 @@ from sphericalvision.scenes.world import HELD_OUT_SEED, World, WorldFrame
 from sphericalvision.sphere import Equirectangular, SphereGrid
 from sphericalvision.sphere.intake import signed, unsigned
 
-__all__ = ["WorldSamples", "recorded_sample"]
+__all__ = ["WorldSamples", "images_as_floats", "recorded_sample"]
 
 
 class WorldSamples(Dataset[dict[str, Any]]):
@@ -35,6 +36,7 @@ class WorldSamples(Dataset[dict[str, Any]]):
             methods.
         cache_dir: folder where samples are kept, images as bytes; shared by any number of processes, and by data
             sets of any worlds and views. Rendered each time when not given.
+        as_bytes: whether images are left as bytes, a quarter of what has to be moved, for ``images_as_floats``.
 
     Returns:
         Samples with the entries of the view, the ``rig`` as its calibration has it, and ``frame``, kind and seed. Depth
@@ -62,6 +64,7 @@ class WorldSamples(Dataset[dict[str, Any]]):
         view: SampleView,
         seeds: range,
         cache_dir: str | os.PathLike[str] | None = None,
+        as_bytes: bool = False,
     ) -> None:
         if not seeds or min(seeds) < 0 or max(seeds) >= HELD_OUT_SEED:
             raise ArgumentError(
@@ -70,7 +73,7 @@ class WorldSamples(Dataset[dict[str, Any]]):
             )
         if isinstance(world.rig, CameraRig):
             world.check_free_space(world.rig)
-        self.world, self.view, self.seeds = world, view, seeds
+        self.world, self.view, self.seeds, self.as_bytes = world, view, seeds, as_bytes
         self.to_view = ToView(view)
         folder = None if cache_dir is None else Path(cache_dir) / f"samples-{world.fingerprint(view)}"
         self.cache = ArrayCache(folder, _arrays_of(view, world.rig))
@@ -84,7 +87,7 @@ class WorldSamples(Dataset[dict[str, Any]]):
         frame = self.world.frame(self.seeds[index])
         sample: dict[str, Any] = self.cache.get(frame.name, lambda: self._rendered(frame))
         for key, seen in (("images", "seen"), ("fisheye", "fisheye_seen")):
-            if key in sample:
+            if key in sample and not self.as_bytes:
                 sample[key] = signed(decode(sample[key]), sample[seen])
         for key in self._grids:
             sample[key.replace("inverse_depth", "valid")] = sample[key] <= 1 / self.world.min_depth
@@ -114,6 +117,19 @@ class WorldSamples(Dataset[dict[str, Any]]):
                 for key, values in entries.items()
             }
         return arrays | {key: frame.inverse_depth(grid().directions) for key, grid in self._grids.items()}
+
+
+def images_as_floats(
+    images: UInt8[Tensor, "B n 3 *size"], seen: Bool[Tensor, "B n *size"]
+) -> Float[Tensor, "B n 3 *size"]:
+    """Return a batch of images that were left as bytes in [-1, 1], 0 where not seen.
+
+    Examples:
+        >>> images = torch.tensor([0, 255, 255], dtype=torch.uint8).view(1, 1, 1, 3)
+        >>> images_as_floats(images, torch.tensor([[[True, True, False]]]))
+        tensor([[[[-1.,  1.,  0.]]]])
+    """
+    return signed(decode(images).flatten(0, 1), seen.flatten(0, 1)).view(images.shape)
 
 
 def _arrays_of(view: SampleView, rig: Any) -> dict[str, Kept]:

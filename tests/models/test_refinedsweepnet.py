@@ -315,6 +315,7 @@ def test_depths_do_not_depend_on_the_hypotheses_that_they_are_counted_in(net, fr
     """Inside they are counted in others, to and fro."""
     images, rig, seen, true = frame
     finer = net.with_changes(num_hypotheses=31)
+    finer.prior.requires_grad_(False)
     with torch.no_grad():
         ours, theirs = (one.predict(images, rig, seen).index for one in (net, finer))
         torch.testing.assert_close(theirs, 2 * ours)

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import multiprocessing
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass
 from itertools import count, islice
 from typing import Any, ClassVar
@@ -26,6 +27,8 @@ __all__ = [
 ]
 
 ENDLESS = 2**40
+BATCHES_AHEAD = 3
+"""Of each process that prepares samples: one large batch among small ones is not waited for at once."""
 
 Sample = dict[str, Any]
 
@@ -68,7 +71,7 @@ class TrainingBatches(Sampler[list[int]]):
 
     Args:
         stream: whose positions they are.
-        batch_size: samples in a batch.
+        batch_size: samples in a batch; or what says it of a group.
         length: number of batches.
         group: of a sample, by its index in the data set; samples of one group can be stacked. One for all when not
             given.
@@ -89,9 +92,9 @@ class TrainingBatches(Sampler[list[int]]):
     def __init__(
         self,
         stream: TrainingStream,
-        batch_size: int,
+        batch_size: int | Callable[[Any], int],
         length: int,
-        group: Callable[[int], int] | None = None,
+        group: Callable[[int], Hashable] | None = None,
         start: int = 0,
         rank: int = 0,
         world: int = 1,
@@ -109,12 +112,18 @@ class TrainingBatches(Sampler[list[int]]):
 
     def _batches(self) -> Iterator[list[int]]:
         """The batches of all processes from the first one on."""
-        waiting: defaultdict[int, list[int]] = defaultdict(list)
+        waiting: defaultdict[Hashable, list[int]] = defaultdict(list)
+        size = self.batch_size
         for position in count():
             group = 0 if self.group is None else self.group(self.stream.index_at(position))
             waiting[group].append(position)
-            if len(waiting[group]) == self.batch_size:
+            if len(waiting[group]) == (size(group) if callable(size) else size):
                 yield waiting.pop(group)
+
+
+def _begin_worker(number: int) -> None:
+    """Of a process that prepares samples: nothing there has a gradient."""
+    torch.inference_mode().__enter__()
 
 
 def even_batches(number: int, batch_size: int, world: int) -> list[list[int]]:
@@ -166,7 +175,7 @@ class SampleDataModule(pl.LightningDataModule):
 
     def __post_init__(self) -> None:
         super().__init__()
-        self.samples_seen = 0
+        self.batches_seen = 0
 
     def dataset(self, split: str) -> Dataset[Sample]:
         """Samples of "train", "val" or "test", on the icosphere; augmented in "train". Every subclass implements it."""
@@ -182,9 +191,14 @@ class SampleDataModule(pl.LightningDataModule):
         """The training samples without augmentation, in order."""
         return self.dataset("train")
 
-    def group(self, index: int) -> int:
-        """Number of the group of a training sample: only samples of one group share a batch. One for all here."""
+    def group(self, index: int) -> Hashable:
+        """The group of a training sample: only samples of one group share a batch. One for all here."""
         return 0
+
+    @property
+    def batch_sizes(self) -> int | Callable[[Any], int]:
+        """Samples in a training batch, or what says it of a group."""
+        return self.batch_size
 
     def left_out(self) -> list[str]:
         """Sentences about samples that were skipped, to be said at the end."""
@@ -199,10 +213,10 @@ class SampleDataModule(pl.LightningDataModule):
         stream = TrainingStream(self.dataset("train"), self.seed)
         batches = TrainingBatches(
             stream,
-            self.batch_size,
+            self.batch_sizes,
             steps if steps > 0 else ENDLESS,
             self.group,
-            self.samples_seen // self.batch_size,
+            self.batches_seen,
             *self.rank_and_world(),
         )
         return self.loader(stream, batches)
@@ -241,6 +255,11 @@ class SampleDataModule(pl.LightningDataModule):
         self, dataset: Dataset[Sample], batches: TrainingBatches | list[list[int]] | None = None
     ) -> DataLoader[Sample]:
         """Batches of any data set of these samples, in order unless ``batches`` says which."""
+        context = None
+        if self.num_workers and torch.cuda.is_available():
+            # A copy of a process that uses a GPU, and has other threads, may stop for good.
+            context = multiprocessing.get_context("forkserver")
+            context.set_forkserver_preload(["__main__", type(self).__module__])
         return DataLoader(
             dataset,
             batch_size=self.ordered_batch_size if batches is None else 1,
@@ -248,17 +267,22 @@ class SampleDataModule(pl.LightningDataModule):
             num_workers=self.num_workers,
             collate_fn=collate_samples,
             persistent_workers=self.num_workers > 0,
+            worker_init_fn=_begin_worker,
+            prefetch_factor=BATCHES_AHEAD if self.num_workers else None,
+            pin_memory=torch.cuda.is_available(),
+            multiprocessing_context=context,
         )
 
     def state_dict(self) -> dict[str, int]:
-        """What a resumed run must know: how many training samples were used up."""
+        """What a resumed run must know: how many training batches were used up."""
         assert self.trainer is not None
-        per_step = self.batch_size * self.trainer.accumulate_grad_batches * self.trainer.world_size
-        return {"samples_seen": self.trainer.global_step * per_step}
+        per_step = self.trainer.accumulate_grad_batches * self.trainer.world_size
+        return {"batches_seen": self.trainer.global_step * per_step}
 
     def load_state_dict(self, state_dict: dict[str, int]) -> None:
-        """Continue behind the samples that were used up."""
-        self.samples_seen = state_dict["samples_seen"]
+        """Continue behind the batches that were used up, of checkpoints of version 0.2 the samples."""
+        samples = state_dict.get("samples_seen", 0)
+        self.batches_seen = state_dict.get("batches_seen", samples // self.batch_size)
 
 
 @dataclass(eq=False, repr=False, kw_only=True)

@@ -7,12 +7,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated, Any, Literal
 
+import torch
 from annotated_types import MinLen
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.data import SampleView
 from sphericalvision.models import DepthNetwork
+from sphericalvision.scenes.samples import images_as_floats
 
 __all__ = ["Entries", "check_on_icospheres", "images_of", "truth_of", "view_of", "view_with"]
 
@@ -80,7 +82,10 @@ def images_of(batch: Sample, net: DepthNetwork) -> tuple[Tensor, Tensor | None]:
         ArgumentError: these samples do not hold them.
     """
     key, seen = ("images", "seen") if net.images == "sphere" else ("fisheye", "fisheye_seen")
-    return _entry(batch, key, net), batch.get(seen)
+    images = _entry(batch, key, net)
+    if images.dtype == torch.uint8:
+        images = images_as_floats(images, batch[seen])
+    return images, batch.get(seen)
 
 
 def truth_of(batch: Sample, net: DepthNetwork) -> tuple[Tensor, Tensor]:

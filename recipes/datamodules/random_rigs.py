@@ -4,18 +4,24 @@
 from __future__ import annotations
 
 import hashlib
+import random
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import torch
+from pydantic import with_config
 from torch.utils.data import Dataset
+from typing_extensions import TypedDict
 
 from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import RotateFivefold
 from sphericalvision.data.augmentation.fivefold import Mirror
+from sphericalvision.data.augmentation.transforms import Compose
 from sphericalvision.models import DepthNetwork
-from sphericalvision.recipes.app.kinds import Size
+from sphericalvision.recipes.app.kinds import STRICT, Count, Share, Size
+from sphericalvision.recipes.datamodules.ahead import ReusedBatches
 from sphericalvision.recipes.datamodules.base import PreparedSamples, Sample
 from sphericalvision.recipes.datamodules.entries import check_on_icospheres
 from sphericalvision.recipes.datamodules.scenes import RenderedDataModule
@@ -55,6 +61,33 @@ class WithFixedInputs(Dataset[Sample]):
         return {name: values[0] for name, values in inputs.items()}
 
 
+@with_config(STRICT)
+class LevelSamples(TypedDict):
+    """Training samples on icospheres of one level: how often a batch is of them, its size, and that of the images."""
+
+    share: Share
+    batch_size: Count
+    image_size: Size
+
+
+class SamplesOfLevels(Dataset[Sample]):
+    """Samples of which each is on an icosphere of the level that is drawn for it.
+
+    Args:
+        parts: the same seeds at each level.
+        level_of: the level of a sample, by its index.
+    """
+
+    def __init__(self, parts: Mapping[int, Dataset[Sample]], level_of: Callable[[int], int]) -> None:
+        self.parts, self.level_of = parts, level_of
+
+    def __len__(self) -> int:
+        return len(next(iter(self.parts.values())))  # type: ignore[arg-type]
+
+    def __getitem__(self, index: int) -> Sample:
+        return self.parts[self.level_of(index)][index]
+
+
 @dataclass(eq=False, repr=False, kw_only=True)
 class RandomRigDataModule(PreparedSamples, RenderedDataModule):
     """Samples for a network that is to serve any rig: scene, rig and disturbances follow from the seed.
@@ -69,9 +102,15 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
     degrees, and half of the samples are mirrored.
     The cache keeps, too, what a network computes of samples before anything that is trained.
 
+    Without a cache a device may be faster than what renders. With ``uses``, it then takes a batch again, turned and
+    mirrored anew, in place of waiting.
+
     Args:
         world: what comes how often, and faults, as ``conf/world/random_rigs.yaml``.
         image_size: height and width of the cameras.
+        levels: of icospheres that training samples are on, for a network that is to serve several: its own when not
+            given. Validation and tests are at the network's own level.
+        uses: how often a training batch is used at most, while the next is not ready.
 
     References:
         WMGStereo (2025), "What makes good synthetic training data for zero-shot stereo matching?", for diversity
@@ -80,7 +119,10 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
 
     world: dict[str, Any]
     image_size: Size = (256, 256)
+    levels: dict[int, LevelSamples] | None = None
+    uses: Count = 1
 
+    of_training = (*RenderedDataModule.of_training, "levels", "uses")
     augmentation = (Mirror(0.5), RotateFivefold())
     made_before = ("val",)
     net: ClassVar[DepthNetwork | None] = None
@@ -101,31 +143,78 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        values = dict(self.world)
-        size = int(self.image_size[0]), int(self.image_size[1])
-        self.drawn_world = World.of(
-            values,
-            rig=LevelOrRandomRigs(values.pop("level_rigs"), size),
+        self.world_of(self.image_size)  # raises for shares that do not fit
+        if self.uses > 1 and self.cache_dir is not None:
+            raise ArgumentError(
+                f"data.uses: expected 1 where samples are kept, which are read faster than trained on, got "
+                f"{self.uses}; or set data.cache_dir=null"
+            )
+        if self.levels is not None and not sum(part["share"] for part in self.levels.values()) > 0:
+            raise ArgumentError(f"data.levels: expected shares above 0, got {dict(self.levels)}")
+
+    def rigs(self, size: Sequence[int]) -> LevelOrRandomRigs:
+        """What draws rigs of cameras of a size."""
+        return LevelOrRandomRigs(self.world["level_rigs"], (int(size[0]), int(size[1])))
+
+    def world_of(self, size: Sequence[int]) -> World:
+        """The world through cameras of a size."""
+        return World.of(
+            {name: value for name, value in self.world.items() if name != "level_rigs"},
+            rig=self.rigs(size),
             prepare=Preparation(self.photometric).of_images,
             samples_per_pixel=self.samples_per_pixel,
             draws=by_purpose,
         )
-        self.numbers_of_cameras: dict[int, int] = {}
 
     def plain(self, split: str) -> Dataset[Sample]:
         """Samples of one split as they are kept."""
         view = replace(self.view, antialias=True)
-        scenes = WorldSamples(self.drawn_world, view, self.seeds(split), self.cache_dir)
+        if split == "train" and self.levels is not None:
+            parts = {
+                level: WorldSamples(
+                    self.world_of(part["image_size"]),
+                    replace(view, level=level, depth_level=level),
+                    self.seeds(split),
+                    self.cache_dir,
+                    as_bytes=True,
+                )
+                for level, part in self.levels.items()
+            }
+            return SamplesOfLevels(parts, self.level_of)
+        scenes = WorldSamples(self.world_of(self.image_size), view, self.seeds(split), self.cache_dir)
         if self.net is None or self.cache_dir is None:  # what is not kept is the step's work, on its device
             return scenes
         return WithFixedInputs(scenes, self.net)
 
-    def group(self, index: int) -> int:
-        """The number of cameras of a training sample: drawing a rig takes milliseconds, and is done once a seed."""
-        if index not in self.numbers_of_cameras:
-            frame = self.drawn_world.frame(self.seeds("train")[index])
-            self.numbers_of_cameras[index] = len(frame.true_rig)
-        return self.numbers_of_cameras[index]
+    def level_of(self, index: int) -> int:
+        """The level of a training sample. As many batches as the shares say are of each."""
+        assert self.levels is not None
+        samples = [part["share"] * part["batch_size"] for part in self.levels.values()]
+        generator = random.Random(self.seeds("train")[index])
+        return generator.choices(list(self.levels), samples)[0]
+
+    def group(self, index: int) -> tuple[int | None, int, bool]:
+        """Level, number of cameras and kind of lens of a training sample."""
+        draws = by_purpose(self.seeds("train")[index])
+        level = None if self.levels is None else self.level_of(index)
+        return (level, *self.rigs(self.image_size).kind(draws.rig))
+
+    @property
+    def batch_sizes(self) -> int | Callable[[Any], int]:
+        """Samples in a training batch: those of its level."""
+        if self.levels is None:
+            return self.batch_size
+        sizes = {level: part["batch_size"] for level, part in self.levels.items()}
+        return lambda group: sizes[group[0]]
+
+    def train_dataloader(self) -> Any:
+        """Endless training batches, some of them again where the next is not ready."""
+        loader = super().train_dataloader()
+        if self.uses == 1:
+            return loader
+        generator = torch.Generator().manual_seed(self.seed)
+        change = Compose(Mirror(0.5, generator), RotateFivefold(generator))
+        return ReusedBatches(loader, self.uses, change, pinned=loader.pin_memory)
 
 
 def fingerprint(net: DepthNetwork) -> str:

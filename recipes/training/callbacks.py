@@ -107,17 +107,21 @@ class PlainProgress(Callback):
 
     def __init__(self, every_seconds: float = 15.0) -> None:
         self.every_seconds = every_seconds
-        self.began = self.shown = 0.0
+        self.began = self.shown = self.ended = self.waited = 0.0
         self.first_step = 0
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Start the clock."""
-        self.began = self.shown = time.monotonic()
-        self.first_step = trainer.global_step
+        self.began = self.shown = self.ended = time.monotonic()
+        self.first_step, self.waited = trainer.global_step, 0.0
+
+    def on_train_batch_start(self, trainer: pl.Trainer, *args: Any) -> None:
+        """Count how long the batch was waited for."""
+        self.waited += time.monotonic() - self.ended
 
     def on_train_batch_end(self, trainer: pl.Trainer, *args: Any) -> None:
         """Say where training stands, if it is time."""
-        now = time.monotonic()
+        now = self.ended = time.monotonic()
         if now - self.shown < self.every_seconds or not trainer.is_global_zero:
             return
         self.shown = now
@@ -128,7 +132,8 @@ class PlainProgress(Callback):
             seconds = int(per_step * (trainer.max_steps - trainer.global_step))
             remaining = f" of {trainer.max_steps}, {timedelta(seconds=seconds)} left"
         print(
-            f"step {trainer.global_step}{remaining}, {per_step:.2f} s a step, loss {float(loss):.3f}",
+            f"step {trainer.global_step}{remaining}, {per_step:.2f} s a step, "
+            f"{self.waited / (now - self.began):.0%} of it for samples, loss {float(loss):.3f}",
             flush=True,
         )
 

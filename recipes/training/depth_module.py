@@ -14,6 +14,8 @@ from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
 from sphericalvision.core import check_choice
+from sphericalvision.data.augmentation.simulated_hint import simulated_hint
+from sphericalvision.icosphere import level_from_num_vertices
 from sphericalvision.metrics import DepthIndexError
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.checkpoints import initialize
@@ -52,6 +54,8 @@ class DepthModule(TrainingModule):
     unit = "percent of N"
     learns_all = False
     """Whether weights that a network keeps as they are learn, too."""
+    shows_hints = True
+    """Whether a network that takes hints sees some that are simulated from the truth."""
 
     def __init__(
         self,
@@ -69,11 +73,11 @@ class DepthModule(TrainingModule):
         if self.learns_all:
             net.requires_grad_(True)
         net.configure(recompute=recompute)
-        self.tables = RigTables(net)
-        self.training_loss = net.training_loss
         if compile is not None:
             check_choice("task.compile", compile, tuple(torch.compiler.list_backends(exclude_tags=())))
-            self.training_loss = torch.compile(net.training_loss, backend=compile)
+        self.backend = compile
+        self.tables, self.training_loss = RigTables(net), self._loss_of(net)
+        self._others: dict[int, tuple[DepthNetwork, RigTables, Callable[..., Tensor]]] = {}
         self.validation_metric = DepthIndexError(net.num_hypotheses)
 
     def initialize(self, weights: str | Path) -> None:
@@ -91,8 +95,7 @@ class DepthModule(TrainingModule):
 
     def target(self, batch: dict[str, Any]) -> tuple[Tensor, Tensor]:
         """Hypothesis index of the true inverse depth, fractional, and where it is known."""
-        inverse_depth, valid = truth_of(batch, self.net)
-        return index_from_inverse_depth(inverse_depth, self.net.num_hypotheses, self.net.min_depth), valid
+        return _target(batch, self.net)
 
     def panorama(self, values: Tensor, height: int) -> Tensor:
         """Values ``(*grid)`` of a frame as a panorama of ``height`` rows; NaN where the grid does not reach."""
@@ -102,12 +105,34 @@ class DepthModule(TrainingModule):
 
     def training_step(self, batch: dict[str, Any], batch_idx: int) -> Tensor:
         """The loss of one batch."""
-        images, seen = images_of(batch, self.net)
+        net, tables, training_loss = self._at_level_of(batch)
+        images, seen = images_of(batch, net)
         fixed = batch.get("fixed")
-        tables = self.tables.of(batch["rig"], bool(fixed))
-        loss: Tensor = self.training_loss(images, tables, seen, *self.target(batch), self.loss, fixed)
+        rig = tables.of(batch["rig"], bool(fixed))
+        more = {}
+        if net.takes_hints and self.shows_hints:
+            more["hint"] = simulated_hint(batch["inverse_depth"], batch["valid"], seen)
+        loss: Tensor = training_loss(images, rig, seen, *_target(batch, net), self.loss, fixed, **more)
         self.log("train/loss", loss, prog_bar=True, batch_size=len(images))
         return loss
+
+    def _loss_of(self, net: DepthNetwork) -> Callable[..., Tensor]:
+        if self.backend is None:
+            return net.training_loss
+        return torch.compile(net.training_loss, backend=self.backend)
+
+    def _at_level_of(self, batch: dict[str, Any]) -> tuple[DepthNetwork, RigTables, Callable[..., Tensor]]:
+        """The network for the images of a batch, all with the same weights, with its tables and its loss."""
+        images = batch.get("images")
+        if self.net.images == "camera" or images is None:
+            return self.net, self.tables, self.training_loss
+        level = level_from_num_vertices(images.shape[-1])
+        if level == self.net.level:
+            return self.net, self.tables, self.training_loss
+        if level not in self._others:  # not before the network has been moved to its device
+            net = self.net.at_level(level)
+            self._others[level] = net, RigTables(net), self._loss_of(net)
+        return self._others[level]
 
     def validation_step(self, batch: dict[str, Any], batch_idx: int) -> Tensor:
         """Gather the paper's errors of one batch; returns the index."""
@@ -122,3 +147,8 @@ class DepthModule(TrainingModule):
         self.validation_metric.reset()
         for name in METRICS:
             self.log(f"val/{name.replace('>', 'over_')}", values[name], prog_bar=name == "MAE")
+
+
+def _target(batch: dict[str, Any], net: DepthNetwork) -> tuple[Tensor, Tensor]:
+    inverse_depth, valid = truth_of(batch, net)
+    return index_from_inverse_depth(inverse_depth, net.num_hypotheses, net.min_depth), valid

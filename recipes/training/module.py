@@ -94,6 +94,12 @@ class TrainingModule(pl.LightningModule):
         """Seed what is drawn at random inside the step from its number alone."""
         torch.manual_seed(self.seed * 1_000_003 + self.global_step)
 
+    def on_before_optimizer_step(self, optimizer: Optimizer) -> None:
+        """Take no part of a gradient that is no number: one such sample would be the end of a training of hours."""
+        for parameter in self.net.parameters():
+            if parameter.grad is not None:
+                parameter.grad.nan_to_num_(0.0, 0.0, 0.0)
+
     def on_validation_end(self) -> None:
         """Note which state has been validated."""
         if self.trainer.state.fn == "fit" and not self.trainer.sanity_checking:

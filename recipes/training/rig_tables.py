@@ -18,6 +18,8 @@ __all__ = ["RigTables", "stacked_tables"]
 
 BYTES = 1 << 30
 """How much the tables kept may weigh together; at least one is kept."""
+FIRST_BATCHES = 50
+"""In which constants are still being made on a device, which a second stream must not read too early."""
 
 
 class RigTables:
@@ -38,6 +40,9 @@ class RigTables:
     def __init__(self, net: DepthNetwork, capacity: int = 16) -> None:
         self.net, self.capacity = net, capacity
         self._tables: dict[tuple[str, str, bool], Any] = {}  # the one used last at the end
+        self._met: set[str] = set()
+        self._stream: Any = None
+        self._batches = 0
 
     def of(self, rigs: CameraRig | Sequence[CameraRig], fixed: bool = False) -> Any:
         """Return what ``net.training_tables`` returns, made only once for equal cameras and poses.
@@ -47,19 +52,48 @@ class RigTables:
                 Where all are equal, the tables have no batch dimension.
             fixed: whether the network has ``fixed_inputs`` beside them.
         """
+        batch = None
         if isinstance(rigs, CameraRig):
-            rigs = [rigs.select(i) for i in range(len(rigs.positions))] if rigs.batch_shape else [rigs]
-        return stacked_tables([self._of_one(rig, fixed) for rig in rigs])
+            batch = rigs if rigs.batch_shape else None
+            rigs = [rigs] if batch is None else [batch.select(i) for i in range(len(batch.positions))]
+        names = [rig_fingerprint(rig, digits=7) for rig in rigs]
+        if batch is not None and len(set(names)) > 1 and not self._met.issuperset(names):
+            # Rigs that are drawn anew for each sample do not come again: what is kept are those that have.
+            self._met.update(names)
+            return self._aside(batch, fixed)
+        return stacked_tables([self._of_one(rig, name, fixed) for rig, name in zip(rigs, names, strict=True)])
 
-    def _of_one(self, rig: CameraRig, fixed: bool) -> Any:
-        key = (str(self.net.device), rig_fingerprint(rig, digits=7), fixed)
+    def _aside(self, batch: CameraRig, fixed: bool) -> Any:
+        """Tables of a batch, on a device while it still works on the step before.
+
+        Tables are checked and counted on the host, which would otherwise wait for all that the device has to do.
+        """
+        device = self.net.device
+        with torch.no_grad():
+            if device.type != "cuda":
+                return self.net.training_tables(batch, fixed)
+            current = torch.cuda.current_stream(device)
+            self._stream = self._stream or torch.cuda.Stream(device)
+            if self._batches < FIRST_BATCHES:
+                self._stream.wait_stream(current)
+            self._batches += 1
+            with torch.cuda.stream(self._stream):
+                tables = self.net.training_tables(batch, fixed)
+            current.wait_stream(self._stream)
+            for tensor in _tensors(tables):
+                tensor.record_stream(current)
+            return tables
+
+    def _of_one(self, rig: CameraRig, name: str, fixed: bool) -> Any:
+        key = (str(self.net.device), name, fixed)
         tables = self._tables.pop(key, None)
         if tables is None:
             with torch.no_grad():
                 tables = self.net.training_tables(rig, fixed)
         self._tables[key] = tables
         while len(self._tables) > 1 and (
-            len(self._tables) > self.capacity or _bytes(tuple(self._tables.values())) > BYTES
+            len(self._tables) > self.capacity
+            or sum(tensor.nbytes for tensor in _tensors(tuple(self._tables.values()))) > BYTES
         ):
             del self._tables[next(iter(self._tables))]
         return tables
@@ -94,8 +128,8 @@ def stacked_tables(parts: Sequence[Any]) -> Any:
     return first
 
 
-def _bytes(tables: Any) -> int:
-    """How much tensors in tuples of tuples weigh."""
-    if isinstance(tables, Tensor):
-        return tables.nbytes
-    return sum(map(_bytes, tables)) if isinstance(tables, tuple) else 0
+def _tensors(tables: Any) -> list[Tensor]:
+    """All tensors in tuples of tuples."""
+    if isinstance(tables, tuple):
+        return [tensor for part in tables for tensor in _tensors(part)]
+    return [tables] if isinstance(tables, Tensor) else []

@@ -119,7 +119,6 @@ def learning_rates(config: DictConfig, steps: int) -> list[float]:
     [
         ("quickstart", 2e-3, 4e-5),
         ("icosweepnet_small", 1.5e-3, 1.5e-5),
-        ("refinedsweepnet", 1e-3, 1.5e-5),
         ("spherical_digits", 3e-3, 3e-5),
     ],
 )

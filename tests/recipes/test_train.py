@@ -197,8 +197,6 @@ def test_a_training_stream_is_a_function_of_seed_and_position() -> None:
     assert [other[i]["noise"] for i in range(5)] != [sample["noise"] for sample in whole[:5]]
 
 
-def test_samples_seen_are_those_of_all_processes() -> None:
-    module = SimpleNamespace(
-        batch_size=3, trainer=SimpleNamespace(global_step=5, accumulate_grad_batches=2, world_size=4)
-    )
-    assert SampleDataModule.state_dict(module) == {"samples_seen": 5 * 3 * 2 * 4}  # type: ignore[arg-type]
+def test_batches_seen_are_those_of_all_processes() -> None:
+    module = SimpleNamespace(trainer=SimpleNamespace(global_step=5, accumulate_grad_batches=2, world_size=4))
+    assert SampleDataModule.state_dict(module) == {"batches_seen": 5 * 2 * 4}  # type: ignore[arg-type]

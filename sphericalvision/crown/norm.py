@@ -68,9 +68,8 @@ class _CrownBatchNorm(_BatchNorm):
         scale = (self.running_var + self.eps).rsqrt()
         if self.weight is not None:
             scale = scale * self.weight
-        shift = -self.running_mean * scale
-        if self.bias is not None:
-            shift = shift + self.bias
+        shift = self.running_mean * scale
+        shift = -shift if self.bias is None else self.bias - shift
         return weight * scale[:, None, None], shift
 
 

@@ -11,8 +11,10 @@ from typing import Any
 import pytest
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves, tree_map_only
 
 from sphericalvision.cameras import ring_rig
+from sphericalvision.capture.graphs import NoWaiting
 from sphericalvision.core import kernels
 from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.models import DepthNetwork, IcoSweepNet, OmniMVS, pretrained
@@ -83,6 +85,31 @@ def test_a_forward_pass_is_few_operators_without_a_word_to_the_host(
     assert not +counted.from_numbers
     # Where a vertex is undecided between two surfaces rounding decides.
     assert (index - expected).abs().mean() < 2e-3
+
+
+class OneDevice(NoWaiting):
+    """Refuses to be waited for, copies between host and device, and tensors of the host among those of the device."""
+
+    def __torch_dispatch__(self, function: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        tensors = [leaf for leaf in tree_leaves((args, kwargs)) if isinstance(leaf, torch.Tensor)]
+        if any(not tensor.is_meta for tensor in tensors):
+            raise RuntimeError(f"{function} takes a tensor of the host, which the device has to be sent")
+        return super().__torch_dispatch__(function, types, args, kwargs)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+@torch.inference_mode()
+def test_a_forward_pass_sends_a_device_nothing(name: str) -> None:
+    """Everything is on the meta device, which is no host either."""
+    make, _ = SHIPPED[name]
+    net = make().eval()
+    images, tables = tree_map_only(torch.Tensor, lambda tensor: tensor.to("meta"), sample(net))
+    net.to("meta")
+    net(images, tables)  # makes the tables of icospheres, once
+    with OneDevice():
+        assert net(images, tables).is_meta
+    with OneDevice(), pytest.raises(RuntimeError, match="takes a tensor of the host"):
+        net(images + torch.zeros(1), tables)
 
 
 COMPILED = """

@@ -391,10 +391,14 @@ HAS_TRITON = find_spec("triton") is not None
 """As with torch for CUDA on Linux."""
 
 
-def by_triton(*tensors: torch.Tensor) -> bool:
+def by_triton(*tensors: torch.Tensor, differentiable: bool = False) -> bool:
     """Whether kernels in Triton compute what is made of tensors: on CUDA devices, where nobody asks for derivatives.
 
     Compilers, and programs that leave this package, get operators of torch.
+
+    Args:
+        tensors: on one device.
+        differentiable: whether there are kernels for derivatives, too.
 
     Examples:
         >>> by_triton(torch.zeros(3))
@@ -403,7 +407,7 @@ def by_triton(*tensors: torch.Tensor) -> bool:
     if not (HAS_TRITON and tensors[0].is_cuda) or uses_reference_kernels() or torch.compiler.is_compiling():
         return False
     differentiated = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
-    return not differentiated and not torch._C._are_functorch_transforms_active()
+    return (differentiable or not differentiated) and not torch._C._are_functorch_transforms_active()
 
 
 LARGEST_TABLE = 1 << 28

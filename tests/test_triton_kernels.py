@@ -64,11 +64,26 @@ for channels, outputs, stride, rings in ((5, 20, 1, CHART_RINGS), (33, 16, 2, NO
     kernel = hex_conv_kernel(values, weight, None, tables.around, tables.taps, **options)
     torch.testing.assert_close(kernel, plain, rtol=1e-4, atol=1e-4)
 """
+BORDERS = """
+import torch
+import torch.nn.functional as F
+from sphericalvision.crown.border_triton import RepeatBorder
+
+for size in ((2, 3, 5, 9), (2, 3, 4, 9, 5), (1, 2, 1, 2, 3)):
+    images = torch.randn(size, requires_grad=True)
+    plain, kernel = F.pad(images, (1, 1) * (len(size) - 2), mode="replicate"), RepeatBorder.apply(images)
+    assert torch.equal(kernel, plain)
+    gradient = torch.randn_like(plain)
+    expected, result = (torch.autograd.grad(padded, images, gradient)[0] for padded in (plain, kernel))
+    torch.testing.assert_close(result, expected)
+"""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "program", [MEDIANS, SYSTEMS, PATHS, HEXAGONS], ids=["medians", "systems", "paths", "hexagons"]
+    "program",
+    [MEDIANS, SYSTEMS, PATHS, HEXAGONS, BORDERS],
+    ids=["medians", "systems", "paths", "hexagons", "borders"],
 )
 def test_a_kernel_returns_what_operators_of_torch_do(program: str, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip(

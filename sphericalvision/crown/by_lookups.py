@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Num
 from torch import Tensor
 
 from sphericalvision.core import by_triton, constant_table
@@ -18,9 +18,16 @@ from sphericalvision.geometry.means_by_id import MeansById, mean_by_id, means_by
 from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.topology import coarse_vertex_ids
 
-__all__ = ["fold_by_lookups", "hex_conv_by_lookups"]
+__all__ = ["fold_by_lookups", "hex_conv_by_lookups", "unfold_by_lookups"]
 
 Rings = tuple[tuple[int, ...], ...]
+
+
+def unfold_by_lookups(values: Num[Tensor, "B C *N V"]) -> Num[Tensor, "B C *N places"]:
+    """Look values up at the places of all rectangles, one after the other."""
+    if torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active():
+        return values.index_select(-1, _places(level_from_num_vertices(values.shape[-1]), values.device).ids)
+    return _Unfold.apply(values)  # type: ignore[no-any-return]
 
 
 def fold_by_lookups(
@@ -28,12 +35,53 @@ def fold_by_lookups(
 ) -> Float[Tensor, "B C *N V"]:
     """Return the mean of each vertex over all its places, as ``from_crown`` does."""
     places = torch.cat([rectangles.flatten(-2).movedim(1, -2) for rectangles in (col, row)], -2).flatten(-2)
-    return mean_by_id(places, _fold_tables(level_of_rectangles(col), col.device))
+    level = level_of_rectangles(col)
+    if torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active():
+        return mean_by_id(places, _places(level, places.device).means)
+    return _Fold.apply(places, level)  # type: ignore[no-any-return]
+
+
+class _Places(NamedTuple):
+    ids: Int[Tensor, " places"]
+    means: MeansById
+    counts: Float[Tensor, " V"]
 
 
 @constant_table
-def _fold_tables(level: int, device: torch.device) -> MeansById:
-    return means_by_id(place_ids(level, device).flatten(), num_icosphere_vertices(level))
+def _places(level: int, device: torch.device) -> _Places:
+    """Vertices at all places; where the places of each are; and their number."""
+    ids, number = place_ids(level, device).flatten(), num_icosphere_vertices(level)
+    return _Places(ids, means_by_id(ids, number), ids.bincount(minlength=number).float())
+
+
+class _Unfold(torch.autograd.Function):
+    """Values ``(*, V)`` at all places ``(*, P)``: the derivative is looked up as well, where torch would add up."""
+
+    @staticmethod
+    def forward(ctx: Any, values: Tensor) -> Tensor:
+        ctx.level = level_from_num_vertices(values.shape[-1])
+        return values.index_select(-1, _places(ctx.level, values.device).ids)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> Tensor:
+        (gradient,) = gradients
+        return _Fold.apply(gradient, ctx.level) * _places(ctx.level, gradient.device).counts.to(
+            gradient.dtype
+        )  # type: ignore[no-any-return]
+
+
+class _Fold(torch.autograd.Function):
+    """The mean ``(*, V)`` of what is at the places ``(*, P)`` of each vertex."""
+
+    @staticmethod
+    def forward(ctx: Any, places: Tensor, level: int) -> Tensor:
+        return mean_by_id(places, _places(level, places.device).means)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None]:
+        (gradient,) = gradients
+        level = level_from_num_vertices(gradient.shape[-1])
+        return _Unfold.apply(gradient / _places(level, gradient.device).counts.to(gradient.dtype)), None
 
 
 class TapTables(NamedTuple):

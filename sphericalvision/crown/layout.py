@@ -17,9 +17,10 @@ from jaxtyping import Float, Num
 from torch import Tensor
 
 from sphericalvision.core import ArgumentTypeError, ShapeError, in_one_graph
-from sphericalvision.crown.by_lookups import fold_by_lookups
+from sphericalvision.crown.by_lookups import fold_by_lookups, unfold_by_lookups
 from sphericalvision.crown.fast import slices_pay
 from sphericalvision.crown.places import (
+    as_rectangles,
     check_values,
     level_of_rectangles,
     places_per_vertex,
@@ -105,7 +106,9 @@ def to_crown(values: Num[Tensor, "B C *N V"]) -> Crown:
                 [ 1.,  4.],
                 [ 2., 11.]])
     """
-    check_values(values)
+    level = check_values(values)
+    if in_one_graph(values.device):
+        return Crown(*as_rectangles(unfold_by_lookups(values), level))
     return Crown(*(unfold(values) if slices_pay(values) else values_at_places(values)))
 
 

@@ -12,6 +12,7 @@ from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_ver
 from sphericalvision.icosphere.topology import chart_vertex_ids, vertex_at
 
 __all__ = [
+    "as_rectangles",
     "check_values",
     "level_of_rectangles",
     "own_charts",
@@ -68,9 +69,15 @@ def values_at_places(
 ) -> tuple[Num[Tensor, "B 5 C *N long short"], Num[Tensor, "B 5 C *N short long"]]:
     """Look values ``(B, C, [N,] V)`` up at all places: col ``(B, 5, C, [N,] 2n + 1, n + 1)`` and row rectangles."""
     level = level_from_num_vertices(values.shape[-1])
+    return as_rectangles(values.index_select(-1, place_ids(level, values.device).flatten()), level)
+
+
+def as_rectangles(
+    places: Num[Tensor, "B C *N P"], level: int
+) -> tuple[Num[Tensor, "B 5 C *N long short"], Num[Tensor, "B 5 C *N short long"]]:
+    """View what is at the P places of ten rectangles, one after the other, as the rectangles, col and row."""
     n = 2**level
-    places = values.index_select(-1, place_ids(level, values.device).flatten()).unflatten(-1, (10, -1))
-    col, row = places.movedim(-2, 1).split(5, 1)
+    col, row = places.unflatten(-1, (10, -1)).movedim(-2, 1).split(5, 1)
     return col.unflatten(-1, (2 * n + 1, n + 1)), row.unflatten(-1, (n + 1, 2 * n + 1))
 
 

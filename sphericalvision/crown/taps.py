@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, constant_table
+from sphericalvision.core import ArgumentError, by_triton, constant_table
 
 __all__ = [
     "COL_TAPS",
@@ -31,6 +31,9 @@ Taps = tuple[tuple[int, ...], ...]
 # Taps 0 to 5 go round the centre, tap 6; 7 stands for a zero at the two corners that are no neighbours.
 COL_TAPS: Taps = ((7, 5, 4), (0, 6, 3), (1, 2, 7))
 ROW_TAPS: Taps = ((7, 0, 5), (1, 6, 4), (2, 3, 7))
+
+LARGE = 1 << 20
+"""Values from which memory, and not the launch, is what the continuation of a border takes."""
 
 
 def check_hexagon(stride: int, kernel_size: object = None) -> None:
@@ -109,6 +112,10 @@ def convolve(
 
 def repeat_border(images: Float[Tensor, "B C *N h w"]) -> Float[Tensor, "B C *N_padded h+2 w+2"]:
     """Continue images ``(B, C, h, w)`` or volumes ``(B, C, N, h, w)`` by one more of their border values all around."""
+    if by_triton(images, differentiable=True) and images.numel() >= LARGE:
+        from sphericalvision.crown.border_triton import RepeatBorder  # Triton is not everywhere
+
+        return RepeatBorder.apply(images)  # type: ignore[no-any-return]
     if images.ndim == 4 and torch.compiler.is_compiling() and torch.is_grad_enabled():
         # Inductor expects another memory format of the gradient of a padding than it gets.
         tall = torch.cat((images[..., :1, :], images, images[..., -1:, :]), -2)

@@ -16,15 +16,15 @@ class MeansById(NamedTuple):
     """Where the places of each id are, for ids most of which have equally many places.
 
     Attributes:
-        places: ``(size, k)``, k the most frequent number of places; of other ids any places.
-        more: ``(E, m)`` places of the E ids that have another number, m at most.
-        more_shares: ``(E, m)`` of each in the mean.
+        places: ``(k, size)``, k the most frequent number of places; of other ids any places.
+        more: ``(m, E)`` places of the E ids that have another number, m at most.
+        more_shares: ``(m, E)`` of each in the mean.
         others: ``(E,)`` these ids.
     """
 
-    places: Int[Tensor, "size k"]
-    more: Int[Tensor, "E m"]
-    more_shares: Float[Tensor, "E m"]
+    places: Int[Tensor, "k size"]
+    more: Int[Tensor, "m E"]
+    more_shares: Float[Tensor, "m E"]
     others: Int[Tensor, " E"]
 
 
@@ -33,8 +33,8 @@ def means_by_id(ids: Int[Tensor, " P"], size: int) -> MeansById:
 
     Examples:
         >>> means_by_id(torch.tensor([1, 0, 1, 0, 1]), 2).places
-        tensor([[1, 3],
-                [0, 2]])
+        tensor([[1, 0],
+                [3, 2]])
     """
     counts = ids.bincount(minlength=size)
     first = counts.cumsum(0) - counts
@@ -42,10 +42,10 @@ def means_by_id(ids: Int[Tensor, " P"], size: int) -> MeansById:
     usual, most = int(counts.mode().values), int(counts.max())
 
     def table(of: Tensor, width: int) -> tuple[Tensor, Tensor]:
-        number = torch.arange(width, device=ids.device)
-        present = number < counts[of, None]
-        places = in_order[(first[of, None] + number).clamp(max=len(ids) - 1)].where(present, 0)
-        return places, present / counts[of, None]
+        number = torch.arange(width, device=ids.device)[:, None]
+        present = number < counts[of]
+        places = in_order[(first[of] + number).clamp(max=len(ids) - 1)].where(present, 0)
+        return places, present / counts[of]
 
     every = torch.arange(size, device=ids.device)
     others = (counts != usual).nonzero()[:, 0]
@@ -59,11 +59,10 @@ def mean_by_id(values: Float[Tensor, "*batch P"], tables: MeansById) -> Float[Te
         >>> mean_by_id(torch.tensor([1.0, 2.0, 3.0, 4.0, 8.0]), means_by_id(torch.tensor([1, 0, 1, 0, 1]), 2))
         tensor([3., 4.])
     """
-
-    usual = _look_up(values, tables.places).mean(-1)
-    if not len(tables.more):
+    usual = _look_up(values, tables.places).mean(-2)
+    if not len(tables.others):
         return usual
-    more = (_look_up(values, tables.more) * tables.more_shares.to(values.dtype)).sum(-1)
+    more = (_look_up(values, tables.more) * tables.more_shares.to(values.dtype)).sum(-2)
     return usual.index_copy(-1, tables.others, more.to(usual.dtype))  # autocast sums in float32
 
 

@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from sphericalvision.core import constant_table, copied, in_one_graph, kernels
-from sphericalvision.crown import Crown, CrownBatchNorm3d, CrownBlock3d, from_crown, hex_conv2d
+from sphericalvision.crown import Crown, CrownBatchNorm3d, CrownBlock3d, from_crown, hex_conv2d, to_crown
 from sphericalvision.crown.hexconv import north_fraction
 from sphericalvision.crown.norm import crown_norm
 from sphericalvision.icosphere import icosphere_vertices
@@ -106,3 +108,32 @@ def test_blocks(norm: str) -> None:
     block, volume = CrownBlock3d(3, 4, 3, norm, residual=True).eval(), torch.randn(2, 3, 5, 162)
     with torch.inference_mode():
         compare(lambda: block(volume))
+
+
+def test_derivatives_are_looked_up_too() -> None:
+    """Of crowns and of means over places, of any order, without adding up into places."""
+    values = torch.rand(2, 1, 2, 12, dtype=torch.float64, requires_grad=True)
+
+    def squared(values: Tensor) -> Tensor:
+        crown = to_crown(values)
+        return from_crown(Crown(crown.col.square(), crown.row.pow(3)))
+
+    with kernels("graph"):
+        assert torch.autograd.gradcheck(squared, values)
+        assert torch.autograd.gradgradcheck(squared, values)
+        loss = squared(values).sum()
+        with Names() as names:
+            loss.backward()
+    assert not {"index_add", "scatter_add"} & names.seen
+
+
+class Names(TorchDispatchMode):
+    """Which operators are asked for."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.seen: set[str] = set()
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        self.seen.add(func.overloadpacket.__name__.rstrip("_"))
+        return func(*args, **(kwargs or {}))

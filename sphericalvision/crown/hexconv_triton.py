@@ -46,9 +46,11 @@ def _kernel(  # type: ignore[no-untyped-def]
                 first, ids, channel, within & (ids < number)[:, None], value_vertex, value_channel, RECTIFY
             )
             if any_gap > 0:  # the mean of the five neighbours of one of the twelve vertices
+                # Read again: what was read outside has another layout, which Triton does not carry into a branch.
+                inner = tl.load(taps + vertex * 7 + tap, mask=here, other=0)
                 for place in range(5):
-                    beside = tl.load(around + (ids - number) * 5 + place, mask=is_gap, other=0)
-                    gap = within & is_gap[:, None]
+                    beside = tl.load(around + (inner - number) * 5 + place, mask=inner >= number, other=0)
+                    gap = within & (inner >= number)[:, None]
                     block += _tap(first, beside, channel, gap, value_vertex, value_channel, RECTIFY) / 5
             rows = start + tl.arange(0, INPUTS)[:, None]
             kernel = tl.load(

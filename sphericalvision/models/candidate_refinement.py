@@ -183,7 +183,7 @@ def candidates_of(
     best, second = two_modes(logits) if modes is None else modes
     level = level_from_num_vertices(logits.shape[-1])
     one, other = icosphere_vertex_parents(level + 1, logits.device).unbind(1)
-    around = best[:, _ring_around(level, logits.device)]
+    around = best[:, ring_around(level, logits.device)]
     near, far = torch.maximum(best, around.amax(-1)), torch.minimum(best, around.amin(-1))
     ours, theirs = best[:, one], best[:, other]
     last = second[:, one] if hint is None else hint.index.where(hint.weight > 0, second[:, one])
@@ -212,7 +212,7 @@ def candidates_of(
 
 
 @constant_table
-def _ring_around(level: int, device: torch.device) -> Tensor:
+def ring_around(level: int, device: torch.device) -> Tensor:
     """Neighbours of each vertex, and itself where there are five."""
     ring = icosphere_neighbors(level, device)
     return torch.where(ring < 0, torch.arange(len(ring), device=device)[:, None], ring)

@@ -12,7 +12,12 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, constant_table
-from sphericalvision.icosphere import Icosphere, icosphere_upsample, icosphere_vertices
+from sphericalvision.icosphere import (
+    Icosphere,
+    icosphere_upsample,
+    icosphere_vertices,
+    level_from_num_vertices,
+)
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.losses.depth_loss import mean_of_samples
 from sphericalvision.models.candidate_refinement import (
@@ -20,6 +25,7 @@ from sphericalvision.models.candidate_refinement import (
     RefinedIndex,
     candidates_of,
     finer_logits,
+    ring_around,
     with_sky,
 )
 from sphericalvision.models.depth_network import DepthNetwork
@@ -70,6 +76,8 @@ FARTHEST = 0.06
 """Index of the farthest surface, 250 times as far as the nearest hypothesis; no rig tells that from infinity."""
 PRIOR_SHARE = 0.1
 """Of the prior's own cross entropy in the loss."""
+EDGE_WEIGHT = 2.0
+"""What a vertex counts in the training beyond the others' 1 if its neighbours are more than a hypothesis apart."""
 RARE_SKY, MOST = 0.05, 4.0
 """Sky on a smaller share of the sphere counts in the training as if it were as large, but at most as many times."""
 
@@ -410,10 +418,11 @@ class RefinedSweepNet(DepthNetwork):
     ) -> Float[Tensor, ""]:
         """Return a loss of the index at all levels, of the logits, of a prior that learns, and of the confidence.
 
-        What fewer than two cameras see counts a quarter. The share of the logits, fused ones and the prior's, is the
-        cross entropy of the two hypotheses around the true index. Of the steps of the refinement the mean counts. The
-        confidence learns 1 less the error of the index, in halves of hypotheses up to two; the sky, where the true
-        index is 0: at infinity. Where there is little of it, behind windows, it counts more.
+        What fewer than two cameras see counts a quarter, what lies beside an edge three times. The share of the
+        logits, fused ones and the prior's, is the cross entropy of the two hypotheses around the true index. Of the
+        steps of the refinement the mean counts. The confidence learns 1 less the error of the index, in halves of
+        hypotheses up to two; the sky, where the true index is 0: at infinity. Where there is little of it, behind
+        windows, it counts more.
         """
         tables = rig if isinstance(rig, tuple) else self.training_tables(rig, bool(fixed))
         if isinstance(tables, RefinedTables):
@@ -449,7 +458,9 @@ class RefinedSweepNet(DepthNetwork):
             ]
         ).mean()
         coarse_true, coarse_valid = at_level(self.coarse_level)
-        coarse_weights = torch.where(clues.cameras.amax(1) >= 2, 1.0, 0.25) * coarse_valid
+        coarse_weights = torch.where(clues.cameras.amax(1) >= 2, 1.0, 0.25) * _edge_weights(
+            coarse_true, coarse_valid
+        )
         total = total + 0.4 * loss(
             two_modes(fused.logits)[0], coarse_true, coarse_valid, weights=coarse_weights
         )
@@ -476,7 +487,7 @@ def _offsets(rig: CameraRig) -> Tensor:
 
 def _loss_of_step(refined: RefinedIndex, true: Tensor, valid: Tensor, loss: Callable[..., Tensor]) -> Tensor:
     """Of index, confidence and sky at one level."""
-    weights = torch.where(refined.seen, 1.0, 0.25) * valid
+    weights = torch.where(refined.seen, 1.0, 0.25) * _edge_weights(true, valid)
     sure = 1 - (refined.index.detach() - true).abs().clamp(max=DOUBTFUL) / DOUBTFUL
     doubt = F.binary_cross_entropy_with_logits(refined.confidence, sure, reduction="none")
     sky = (true <= 0) & valid
@@ -484,6 +495,16 @@ def _loss_of_step(refined: RefinedIndex, true: Tensor, valid: Tensor, loss: Call
     sky_loss = F.binary_cross_entropy_with_logits(refined.sky, sky.to(sure), reduction="none")
     doubt = doubt + sky_loss * torch.where(sky, rarity, 1.0)
     return loss(refined.index, true, valid, weights=weights) + 0.1 * mean_of_samples(doubt, valid)
+
+
+def _edge_weights(true: Tensor, valid: Tensor) -> Tensor:
+    """``(B, V)``: 0 where nothing is known, 1, and more beside an edge of the true index."""
+    # Most of the error lies there, and most of that where the coarse answer has missed or fattened something.
+    ring = ring_around(level_from_num_vertices(true.shape[-1]), true.device)
+    around, known = true[:, ring], valid[:, ring]
+    highest = around.masked_fill(~known, -torch.inf).amax(-1)
+    lowest = around.masked_fill(~known, torch.inf).amin(-1)
+    return valid * (1 + EDGE_WEIGHT * (torch.maximum(highest, true) - torch.minimum(lowest, true) > 1))
 
 
 def _cross_entropy(logits: Tensor, index: Tensor) -> Tensor:

@@ -26,6 +26,7 @@ from sphericalvision.cameras.robot_frame import placed, tilt_of
 from sphericalvision.capture import Predictor, align_rig
 from sphericalvision.capture.estimating import Behind, Estimate, estimate_frames
 from sphericalvision.capture.folder_record import RECORD, checksum
+from sphericalvision.capture.hint_files import HintFiles
 from sphericalvision.capture.outputs import Outputs, Settings
 from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.capture.sources.frames import Selection, Source
@@ -57,6 +58,9 @@ class PredictConfig:
     checkpoint: Text | None
     num_hypotheses: Annotated[int, Ge(2)] | None
     level: Count | None
+    hint: Text | None
+    hint_quantity: Annotated[Literal["range", "z"], OnlyWith("hint")]
+    hint_fit: Annotated[Literal["metres", "scale", "affine"], OnlyWith("hint")]
     min_depth: Positive | Literal["auto", "scene"]
     trained_radius: Annotated[Positive, OnlyWith("min_depth=auto")]
     outputs: list[str] | None
@@ -74,6 +78,8 @@ MOST_PATHS = 30
 """Of files that are named at the end."""
 ENOUGH = 0.9
 """Share of the sphere that two cameras see, below which it is said."""
+LAST: Literal["last"] = "last"
+"""As a hint: the depth of the frame before."""
 ANEW = "give another output=, or leave skip_existing out to make all frames anew"
 ALIGNED = "aligned.yaml"
 """Beside the results: the calibration with cameras turned."""
@@ -131,6 +137,32 @@ def _say_if_lying(rig: CameraRig, capture: PosedCapture) -> None:
         f"Warning: the cameras' mean down is {math.degrees(tilt):.0f}° from the world's down, with "
         f"up={capture.upwards}. If it is not so, pictures lie on their side and depth is worse: {what}."
     )
+
+
+def hints_of(
+    config: PredictConfig, source: Source, predictor: Predictor, placement: Tensor
+) -> HintFiles | Literal["last"] | None:
+    """The hints that a configuration names.
+
+    Raises:
+        ArgumentError: the network takes none, or there is no pose to carry the last frame's depth on.
+    """
+    if config.hint is None:
+        return None
+    predictor.check_takes_hints()
+    moving = isinstance(source, Moving)
+    if config.hint == LAST:
+        if not moving:
+            raise ArgumentError(
+                "hint: last carries the depth of the frame before on by the rig's poses; give poses=, or leave hint out"
+            )
+        return LAST
+    names = source.names(config.capture.selection)
+    if moving or names is None:
+        raise ArgumentError(
+            "hint: files are for frames of a rig, not of windows with poses= or live cameras; leave hint out"
+        )
+    return HintFiles(config.hint, names, source.rig, placement, config.hint_quantity, config.hint_fit)
 
 
 def nearest(
@@ -206,6 +238,7 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
         if not isinstance(config.min_depth, str):
             predictor = predictor.with_changes(min_depth=config.min_depth)
     _check_settings(config, before, folder)
+    hints = hints_of(config, source, predictor, placement)
     if still is source:
         predictor = aligned(predictor, source, folder, bool(before), placement)
     elif predictor.preparation.judges(still.rig):
@@ -247,7 +280,7 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
     if names is not None and before:
         remaining = outputs.remaining(names)
         say(f"{len(set(names)) - len(remaining)} frame(s) are in {folder} already, in each of its outputs")
-    wrong = run(source, selection, predictor, outputs, remaining, config.on_error == "stop")
+    wrong = run(source, selection, predictor, outputs, remaining, config.on_error == "stop", hints)
     _report(outputs)
     if wrong:
         number = "some" if names is None else f"{len(wrong)} of {len(names)}"
@@ -262,6 +295,7 @@ def run(
     outputs: Outputs,
     remaining: set[str] | None,
     stop_on_error: bool = False,
+    hints: HintFiles | Literal["last"] | None = None,
 ) -> list[str]:
     """Write the depth of frame after frame, while the next ones are estimated; returns what was wrong.
 
@@ -272,6 +306,7 @@ def run(
         outputs: where depth goes.
         remaining: names of the frames to be done; None for all of them.
         stop_on_error: whether to raise the error of a frame that cannot be read.
+        hints: of ``estimate_frames``.
     """
     # Colours follow the first frame of all: whoever goes on looks at that one once more, and only then at what is left.
     needs_first = bool(remaining) and outputs.follows_first_frame
@@ -286,7 +321,7 @@ def run(
     number, busy, began = 0, 0.0, time.perf_counter()
     columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[speed]}"), TimeRemainingColumn())
     total = None if remaining is None else len(remaining)
-    estimates = estimate_frames(source, selection, predictor, is_needed, total)
+    estimates = estimate_frames(source, selection, predictor, is_needed, total, hints)
     try:
         with (
             closing(estimates),  # type: ignore[type-var]

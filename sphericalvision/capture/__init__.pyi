@@ -8,6 +8,7 @@ from .calibrating.calibrate import calibrate_rig as calibrate_rig
 from .calibrating.direct_alignment import align_rig_direct as align_rig_direct
 from .calibrating.refine import refine as refine
 from .calibrating.refine import refine_rig as refine_rig
+from .hints import Hint as Hint
 from .predictor import Predictor as Predictor
 from .preparation.own_body import OwnBody as OwnBody
 from .preparation.own_body import find_own_body as find_own_body

@@ -10,13 +10,15 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
 import torch
 
+from sphericalvision.capture.hints import Hint
 from sphericalvision.capture.predictor import Predictor
 from sphericalvision.capture.result import Depth
 from sphericalvision.capture.sources.frames import Frame, Selection, Source
+from sphericalvision.core import FileFormatError
 
 __all__ = ["Behind", "Estimate", "ahead", "estimate_frames", "side_by_side", "threads_kept"]
 
@@ -49,10 +51,12 @@ def estimate_frames(
     predictor: Predictor,
     selected: Callable[[str], bool] = lambda name: True,
     number: int | None = None,
+    hints: Callable[[str], Hint] | Literal["last"] | None = None,
 ) -> Iterator[Estimate]:
     """Yield the depth of the selected frames in their order, while a thread reads the next ones.
 
-    On a CPU as many frames as torch has threads, up to four, are estimated side by side.
+    On a CPU as many frames as torch has threads, up to four, are estimated side by side; with the last frame as a hint
+    one after the other.
 
     Args:
         source: of the frames.
@@ -60,19 +64,28 @@ def estimate_frames(
         predictor: of their depth.
         selected: asked by a frame's name before it is read, and again before it is estimated.
         number: of the frames, where that is known.
+        hints: of a frame by its name; or ``"last"``: the depth of the frame before, where rigs move in one world.
     """
+    last: Hint | None = None
 
     def estimate(frame: Frame) -> Estimate:
+        nonlocal last
         if frame.images is None or not selected(frame.name):
             return Estimate(frame, None)
         start = time.perf_counter()
-        depth = (predictor if frame.rig is None else predictor.with_changes(frame.rig))(frame.images)
+        try:
+            hint = hints(frame.name) if callable(hints) else last
+        except (FileFormatError, OSError) as error:
+            return Estimate(frame._replace(images=None, error=error), None)
+        depth = (predictor if frame.rig is None else predictor.with_changes(frame.rig))(frame.images, hint)
+        if hints == "last":
+            last = Hint.of_depth(depth, torch.eye(4))
         return Estimate(frame, depth, (time.perf_counter() - start) / workers)
 
     frames = ahead(source.frames(selection, selected), newest=source.live)
     with threads_kept() as threads:
         most = MOST_WORKERS if number is None else min(MOST_WORKERS, max(1, number))
-        workers = min(threads, most) if predictor.device.type == "cpu" else 1
+        workers = min(threads, most) if predictor.device.type == "cpu" and hints != "last" else 1
         estimated = side_by_side(estimate, frames, workers, threads // workers)
         try:
             yield from estimated

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from typing import NamedTuple
@@ -27,7 +27,7 @@ from sphericalvision.geometry.directions import angle_from_axis
 from sphericalvision.icosphere import icosphere_vertices
 from sphericalvision.models import DepthNetwork
 from sphericalvision.sphere.intake import as_colors, signed
-from sphericalvision.sweep import DepthEstimate
+from sphericalvision.sweep import DepthEstimate, DepthHint
 
 __all__ = ["PRECISIONS", "Frame", "Pipeline", "in_precision"]
 
@@ -88,24 +88,33 @@ class Pipeline:
         self._graphed = GraphedFunction("a frame", self.frame, partial(self.frame, estimate=graphed))
 
     def __call__(
-        self, images: Mapping[str, Shaped[Tensor, "*batch c _ _"]], preparation: Preparation, channels: str
+        self,
+        images: Mapping[str, Shaped[Tensor, "*batch c _ _"]],
+        preparation: Preparation,
+        channels: str,
+        hint: DepthHint | None = None,
     ) -> Frame:
         """Return the answer for images as ``ordered_images`` returns them, on the device of the network."""
         frame = self._graphed if self.on_cuda else self.frame
-        result: Frame = frame(*images.values(), preparation=preparation, channels=channels)
+        result: Frame = frame(*images.values(), *(hint or ()), preparation=preparation, channels=channels)
         return result
 
     def frame(
         self,
-        *images: Shaped[Tensor, "*batch c _ _"],
+        *images: Tensor,
         preparation: Preparation,
         channels: str,
-        estimate: Callable[[Tensor], DepthEstimate] | None = None,
+        estimate: GraphedFunction | None = None,
     ) -> Frame:
-        """Return the answer for the images of the cameras in order; ``estimate`` may stand for the network."""
+        """Return the answer for the images of the cameras in order; ``estimate`` may stand for the network.
+
+        The two parts of a hint ``(B, V)`` may come behind the images ``(*b, c, h, w)``.
+        """
+        number = len(self.rig)
+        images, hint = images[:number], images[number:]
         colors = [as_colors(image, channels) for image in images]
         inputs, corrections = self.inputs(dict(zip(self.rig.names, colors, strict=True)), preparation)
-        return Frame((estimate or self.estimate)(inputs), corrections)
+        return Frame((estimate or self.estimate)(inputs, *hint), corrections)
 
     @full_precision
     def inputs(
@@ -139,13 +148,23 @@ class Pipeline:
             corrections
         )
 
-    def estimate(self, inputs: Float[Tensor, "*batch_and_size"]) -> DepthEstimate:
-        """Return index, confidence and seen of what ``inputs`` returned, float32, with the same batch."""
+    def estimate(
+        self, inputs: Float[Tensor, "*batch_and_size"], *hint: Float[Tensor, "_ _"]
+    ) -> DepthEstimate:
+        """Return index, confidence and seen of what ``inputs`` returned, float32, with the same batch.
+
+        Args:
+            inputs: of the method of that name.
+            hint: inverse depth and weight of a ``DepthHint``, or nothing.
+        """
         sizes = self.intake.seen.ndim + 1  # n, 3 and the size
         batch = inputs.shape[:-sizes]
         with in_precision(self.precision, inputs.device):
             estimate = self.network.predict(
-                inputs.reshape(-1, *inputs.shape[-sizes:]), self.tables, self.intake.seen
+                inputs.reshape(-1, *inputs.shape[-sizes:]),
+                self.tables,
+                self.intake.seen,
+                *([DepthHint(*hint)] if hint else []),
             )
         index, confidence, seen = (values.reshape(*batch, *values.shape[1:]) for values in estimate)
         return DepthEstimate(index.float(), confidence.float(), seen)

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.base import check_single
+from sphericalvision.capture.hints import Hint, warn_if_far
 from sphericalvision.capture.pipeline import PRECISIONS, Pipeline
 from sphericalvision.capture.preparation.nearest import (
     SCENE_LEVEL,
@@ -29,10 +30,12 @@ from sphericalvision.capture.preparation.nearest import (
 from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.capture.result import Depth
 from sphericalvision.core import ArgumentError, check_choice, check_type
+from sphericalvision.icosphere import Icosphere
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep
 from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.sphere.intake import as_colors, ordered_images
+from sphericalvision.sweep import DepthHint
 from sphericalvision.sweep.hypotheses import check_hypotheses
 
 __all__ = ["METHODS", "Predictor"]
@@ -225,26 +228,49 @@ class Predictor:
         )
 
     @torch.inference_mode()
-    def __call__(self, images: Mapping[str, Any]) -> Depth:
+    def __call__(self, images: Mapping[str, Any], hint: Hint | DepthHint | None = None) -> Depth:
         """Estimate depth.
 
         Args:
             images: camera name -> image: numpy or torch, ``(h, w)``, ``(h, w, 3)`` or ``(3, h, w)`` or a batch of them,
                 uint8, uint16 or float in [0, 1], of the size that the camera is calibrated for.
+            hint: depth of some directions that is known beforehand, of one frame; or what the network itself takes, of
+                all frames of a batch. Where it has to be fitted, the frame is estimated without it first.
 
         Raises:
-            ArgumentError: images of other cameras, or values out of range.
+            ArgumentError: images of other cameras, or values out of range; a hint for a network that takes none, or one
+                that says nothing of this frame.
             ShapeError: an image has another size than its camera.
         """
         ordered = self._on_device(images)
         colors = Colors(ordered, self._channels)
         pipeline = self._pipeline_for(colors)
+        on_vertices = self._on_vertices(hint, images)
         with self._turn(), self._enough_memory():
             if pipeline.on_cuda:  # bytes go into the graph
-                frame = pipeline(ordered, self.preparation, self._channels)
+                frame = pipeline(ordered, self.preparation, self._channels, on_vertices)
             else:  # what is made of them is at hand for the result
-                frame = pipeline(colors, self.preparation, "rgb")
-        return Depth(*frame.estimate, pipeline.network, self.rig, colors, frame.corrections)
+                frame = pipeline(colors, self.preparation, "rgb", on_vertices)
+        depth = Depth(*frame.estimate, pipeline.network, self.rig, colors, frame.corrections)
+        if on_vertices is not None:
+            warn_if_far(on_vertices, depth)
+        return depth
+
+    def check_takes_hints(self) -> None:
+        """Raise ``ArgumentError`` if the network takes no hints."""
+        self._network.check_takes_hints()
+
+    def _on_vertices(self, hint: Hint | DepthHint | None, images: Mapping[str, Any]) -> DepthHint | None:
+        """A hint as the network takes it."""
+        if hint is None:
+            return None
+        self.check_takes_hints()
+        if isinstance(hint, DepthHint):
+            return DepthHint(*(values.to(self.device) for values in hint))
+        check_type("hint", hint, Hint, "Hint.of_points, .of_directions, .of_views or .of_depth make one")
+        grid = self._network.grid
+        assert isinstance(grid, Icosphere)  # of all that take hints
+        return hint.on(grid, self.rig, None if hint.fit == "metres" else self(images))
 
     def inputs(
         self, images: Mapping[str, Any]

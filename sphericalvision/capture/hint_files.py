@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hints in files, one for each frame: points, depth images of cameras, panoramas of depth, or an earlier result."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.capture.hints import Hint
+from sphericalvision.capture.sources.frames import find_capture
+from sphericalvision.core import ArgumentError, FileFormatError
+from sphericalvision.data.point_files import read_points
+from sphericalvision.io.images import read_pages
+from sphericalvision.sphere import Equirectangular
+from sphericalvision.sphere.resampling.views import Views
+
+__all__ = ["HintFiles"]
+
+POINTS = (".ply", ".pcd", ".bin")
+MILLIMETRES = 1000.0
+MOST_COLUMNS = 16
+"""Of an array of points; images are wider."""
+
+
+class HintFiles:
+    """The hints of frames, read as they are asked for.
+
+    =========================  ==================================================================================
+    file                       content
+    =========================  ==================================================================================
+    ``.ply`` ``.pcd`` ``.bin`` points of a scanner in the frame of the calibration, metres
+    ``.npy``                   such points ``(P, 3)``; or an image of depth
+    image                      depth, 0 where unknown: 16 bits in millimetres, or floating point in metres; of each
+                               camera where the pattern has ``{camera}``, of any size; else a panorama, twice as
+                               wide as high
+    ``.npz``                   as ``sphericalvision-predict outputs=[npz]`` writes it
+    =========================  ==================================================================================
+
+    Args:
+        pattern: of the files, with ``{frame}``, and ``{camera}`` where each camera has one.
+        names: of the frames.
+        rig: as the calibration has it, whose images have depth.
+        placement: ``(4, 4)``, from the frame of the calibration to that of the rig in use.
+        quantity: of depth images: ``"range"`` along the ray, ``"z"`` along the camera's axis.
+        fit: as of ``Hint``; with ``"affine"`` images hold inverse depth.
+
+    Raises:
+        MissingFileError: a frame has no file.
+        ArgumentError: the pattern has other fields.
+    """
+
+    def __init__(
+        self,
+        pattern: str,
+        names: Sequence[str],
+        rig: CameraRig,
+        placement: Float[Tensor, "4 4"],
+        quantity: Literal["range", "z"] = "range",
+        fit: Literal["metres", "scale", "affine"] = "metres",
+    ) -> None:
+        self.rig, self.placement, self.quantity, self.fit = rig, placement, quantity, fit
+        self.of_cameras = "{camera" in pattern
+        cameras = rig.names if self.of_cameras else ("",)
+        frames = names if "{frame" in pattern else None
+        files = find_capture(pattern, cameras, frames, key="hint")
+        if frames is None and len(names) > 1:
+            raise ArgumentError(f"hint: {pattern!r} has no {{frame}}, there are {len(names)} frames")
+        self._files = dict(zip(names, files.values(), strict=True))
+
+    def __call__(self, frame: str) -> Hint:
+        """Read the hint of a frame.
+
+        Raises:
+            FileFormatError: a file is damaged, or holds something else.
+        """
+        files = self._files[frame]
+        if self.of_cameras:
+            images = {name: _image(path)[None] for name, path in files.items()}
+            rig = self.rig.resized({name: image.shape[-2:] for name, image in images.items()})
+            return Hint.of_views(Views(images, rig), self.quantity, self.fit)
+        (path,) = files.values()
+        if path.suffix == ".npz":
+            arrays = _arrays(path)
+            return Hint.of_directions(*arrays, fit=self.fit)
+        values = None if path.suffix in POINTS else _image(path)
+        if values is None or (path.suffix == ".npy" and values.shape[1] <= MOST_COLUMNS):
+            if self.fit == "affine":
+                raise ArgumentError("hint_fit: affine is for images of inverse depth, got points")
+            points = read_points(path).double() @ self.placement[:3, :3].mT.double() + self.placement[:3, 3]
+            return Hint.of_points(points - self.rig.origin.to(points), fit=self.fit)
+        height, width = values.shape
+        if width != 2 * height:
+            raise FileFormatError(
+                f"{path}: expected a panorama of depth, twice as wide as high, got {height} x {width}; images of the "
+                "cameras need {camera} in the pattern"
+            )
+        if self.fit != "affine":
+            values = 1 / values.where(values != 0, torch.nan)
+        return Hint.of_directions(Equirectangular(height, width).directions, values, fit=self.fit)
+
+
+def _image(path: Path) -> Tensor:
+    """An array ``(h, w)`` of depth in metres, or of whatever unit."""
+    try:
+        page: Any = (
+            np.load(path, allow_pickle=False) if path.suffix == ".npy" else read_pages(path, "depth")[-1]
+        )
+    except (ValueError, EOFError) as error:
+        raise FileFormatError(f"{path}: is no array of numpy, or is damaged ({error})") from error
+    if page.ndim != 2 or (page.dtype != np.uint16 and page.dtype.kind != "f"):
+        raise FileFormatError(
+            f"{path}: expected depth (h, w), 16 bits in millimetres or floating point in metres, got {page.dtype} "
+            f"{page.shape}; pictures in colours show depth, they do not hold it"
+        )
+    scale = MILLIMETRES if page.dtype == np.uint16 else 1.0
+    return torch.from_numpy(page.astype(np.float32) / np.float32(scale))
+
+
+def _arrays(path: Path) -> tuple[Tensor, Tensor, Tensor]:
+    """Directions, inverse depth and confidence of an earlier result."""
+    keys = ("directions", "inverse_depth", "confidence")
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            directions, inverse_depth, confidence = (torch.from_numpy(arrays[key]) for key in keys)
+    except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise FileFormatError(
+            f"{path}: expected {', '.join(keys)}, as sphericalvision-predict outputs=[npz] writes them ({error})"
+        ) from error
+    return directions, inverse_depth, confidence

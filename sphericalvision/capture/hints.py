@@ -1,0 +1,310 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``Hint``: depth that is known beforehand, as people have it, made into what a network takes."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig
+from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_tensor, check_type
+from sphericalvision.geometry.surfaces import distance_along
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.sphere.resampling.views import Views
+from sphericalvision.sweep import DepthHint
+
+if TYPE_CHECKING:
+    from sphericalvision.capture.result import Depth
+
+__all__ = ["FITS", "Hint", "HintView", "warn_if_far"]
+
+FITS = ("metres", "scale", "affine")
+COMPARED = 2000
+"""Rays of a view that are compared with a network's own answer."""
+FEWEST = 20
+"""Of them, that meet its surface, below which a view cannot be fitted."""
+ROUNDS = 10
+"""Of fitting, each with less weight for what is far off."""
+MOST_REST = 0.3
+"""Of the median inverse depth, the median deviation beyond which a view does not agree."""
+FAR_OFF = 0.4
+"""Median relative deviation of a hint from the depth that was found, from which on it is said."""
+SAME_SURFACE = 0.8
+"""Of the nearest inverse depth at a vertex, above which points lie on the same surface."""
+CARRIED = 0.8
+"""Weight of the last frame's depth where it is surest."""
+
+
+class HintView(NamedTuple):
+    """What one camera, one scanner or one panorama says.
+
+    Attributes:
+        start: ``(3,)`` of the rays, in the world of the rig; None for the rig's centre.
+        rays: ``(P, 3)`` unit directions in the world.
+        values: ``(P,)`` inverse depth, in the view's own unit.
+        factor: ``(P,)`` by which they are multiplied to be along the rays: cosines, where they are along an axis.
+        weight: ``(P,)`` above 0, to 1.
+    """
+
+    start: Float[Tensor, " 3"] | None
+    rays: Float[Tensor, "P 3"]
+    values: Float[Tensor, " P"]
+    factor: Float[Tensor, " P"]
+    weight: Float[Tensor, " P"]
+
+
+@dataclass(frozen=True, eq=False)
+class Hint:
+    """Depth of some directions that is known before a network sees the images: ``Predictor(…)(images, hint=hint)``.
+
+    It may be sparse, blurred or partly wrong; the network weighs it against what the images show.
+
+    Args:
+        views: of ``of_points``, ``of_directions``, ``of_views`` or ``of_depth``.
+        fit: ``"metres"``: as it is. ``"scale"``: each view is multiplied so that it agrees with the network's own
+            answer without a hint, which is computed first. ``"affine"``: its inverse depth is multiplied and shifted,
+            as monocular networks with relative inverse depth want it.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> hint = Hint.of_points(torch.tensor([[0.0, 0.0, 2.0], [4.0, 0.0, 0.0]]))
+        >>> inverse_depth, weight = hint.on(Icosphere(3), ring_rig(4))
+        >>> weight.sum(), inverse_depth[weight > 0]
+        (tensor(2.), tensor([0.5000, 0.2500]))
+    """
+
+    views: Sequence[HintView]
+    fit: Literal["metres", "scale", "affine"] = "metres"
+
+    def __post_init__(self) -> None:
+        check_choice("fit", self.fit, FITS)
+        if not any(len(view.values) and bool((view.values != 0).any()) for view in self.views):
+            raise ArgumentError(
+                "hint: nothing is known in it, all depths are 0, infinite or NaN, or have the weight 0; leave it out"
+            )
+        for view in self.views:
+            below = 0 if self.fit == "affine" else int((view.values < 0).sum())
+            if below:
+                raise ArgumentError(
+                    f"hint: expected depth above 0, or 0 where it is unknown, got {below} negative numbers"
+                )
+
+    @classmethod
+    def of_points(
+        cls,
+        points: Float[Tensor, "P 3"],
+        weight: float | Float[Tensor, " P"] = 1.0,
+        fit: Literal["metres", "scale"] = "metres",
+    ) -> Hint:
+        """Points ``(P, 3)`` in the frame of the rig's calibration, as a LiDAR beside it has them.
+
+        Those that are not finite are left out. In ``"scale"`` they are counted from the rig's centre.
+        """
+        check_tensor("points", points, "(P, 3)")
+        if points.ndim != 2 or points.shape[-1] != 3:
+            raise ShapeError(f"points: expected shape (P, 3), got {tuple(points.shape)}")
+        origin = None if fit == "scale" else points.new_zeros(3)
+        distance = points.norm(dim=-1)
+        return cls([_view(origin, points, 1 / distance, None, weight, distance > 0)], fit)
+
+    @classmethod
+    def of_directions(
+        cls,
+        directions: Float[Tensor, "*shape 3"],
+        inverse_depth: Float[Tensor, "*shape"],
+        weight: float | Float[Tensor, "*shape"] = 1.0,
+        fit: Literal["metres", "scale", "affine"] = "metres",
+    ) -> Hint:
+        """Inverse depth ``(*)`` in 1/m, 0 at infinity, in directions ``(*, 3)`` of the world from the rig's centre.
+
+        A panorama is ``of_directions(Equirectangular(h, 2 * h).directions, 1 / depth)``. NaN is unknown.
+        """
+        if directions.shape != (*inverse_depth.shape, 3):
+            raise ShapeError(
+                f"directions: expected shape {(*inverse_depth.shape, 3)}, a direction for each inverse depth, got "
+                f"{tuple(directions.shape)}"
+            )
+        weight = weight.flatten() if isinstance(weight, Tensor) else weight
+        return cls([_view(None, directions.reshape(-1, 3), inverse_depth.flatten(), None, weight)], fit)
+
+    @classmethod
+    def of_views(
+        cls,
+        views: Views,
+        quantity: Literal["range", "z"] = "range",
+        fit: Literal["metres", "scale", "affine"] = "metres",
+        weight: float = 1.0,
+    ) -> Hint:
+        """Depth images of cameras: ``Views(depths, rig)``, or ``views(photographs, rig).map(network)``.
+
+        Cameras that all stand at the origin are taken to stand at the rig's centre, as those that ``views`` cuts.
+
+        Args:
+            views: with one channel; 0, infinity and NaN are unknown. With ``"affine"`` they hold inverse depth, of
+                which 0 is infinity.
+            quantity: ``"range"`` along each pixel's ray, or ``"z"`` along each camera's axis.
+            fit: see the class.
+            weight: of all pixels.
+        """
+        check_type("views", views, Views, "Views(depth images, rig), or views(...).map(network)")
+        check_choice("quantity", quantity, ("range", "z"))
+        parts = []
+        at_center = bool((views.rig.positions == 0).all())
+        for number, (name, camera) in enumerate(views.rig.cameras.items()):
+            image = views.images[number]
+            if image.numel() != image.shape[-1] * image.shape[-2]:
+                raise ShapeError(f"views: expected depth (1, h, w) of {name}, got {tuple(image.shape)}")
+            rays, seen = camera.to(image.device).unproject(camera.pixel_grid(torch.float32).to(image.device))
+            mask = views.rig.masks.get(name)
+            usable = seen if mask is None else seen & mask.to(seen.device)
+            pose = views.rig.world_from_camera[number].to(image.device, torch.float32)
+            factor = rays[..., 2].flatten() if quantity == "z" else None
+            values = image.flatten().float()
+            if fit != "affine":
+                values = 1 / values.where(values != 0, torch.nan)
+            usable = usable.flatten() & ((rays[..., 2].flatten() > 1e-3) | (quantity == "range"))
+            start = None if at_center else pose[:3, 3]
+            parts.append(_view(start, rays.reshape(-1, 3) @ pose[:3, :3].T, values, factor, weight, usable))
+        return cls(parts, fit)
+
+    @classmethod
+    def of_depth(cls, depth: Depth, pose: Float[Tensor, "4 4"]) -> Hint:
+        """The depth of an earlier frame, carried on by the motion of the rig, with weights by its confidence.
+
+        Args:
+            depth: of one frame.
+            pose: ``(4, 4)`` from the world of its rig to that of the rig now. The identity where rigs move in one
+                world, as those of ``poses=`` do.
+        """
+        if depth.batch_shape:
+            raise ArgumentError(
+                "depth: expected that of one frame; take one of the batch with depth.select(i)"
+            )
+        pose = torch.as_tensor(pose).to(depth.index.device, torch.float32)
+        if pose.shape != (4, 4):
+            raise ShapeError(f"pose: expected shape (4, 4), got {tuple(pose.shape)}")
+        start = pose[:3, :3] @ depth.rig.center.to(pose) + pose[:3, 3]
+        rays = depth.directions.reshape(-1, 3) @ pose[:3, :3].T
+        weight = CARRIED * depth.confidence.flatten()
+        return cls([_view(start, rays, depth.inverse_depth.flatten(), None, weight)])
+
+    def on(self, grid: Icosphere, rig: CameraRig, answer: Depth | None = None) -> DepthHint:
+        """Return what is known at an icosphere's vertices ``(1, V)``, from the rig's centre.
+
+        Args:
+            grid: of the network.
+            rig: in whose world the views are.
+            answer: of the network without a hint; only where there is something to ``fit``.
+
+        Raises:
+            ArgumentError: no view can be fitted, as none looks where the answer's surface is.
+        """
+        device = grid.vertices.device
+        directions, inverse, weights = [], [], []
+        center = rig.center.to(device, torch.float32)
+        for number, view in enumerate(self.views):
+            rays, values, factor, weight = (part.to(device) for part in view[1:])
+            offset = torch.zeros_like(center) if view.start is None else view.start.to(center) - center
+            if self.fit != "metres":
+                if answer is None:
+                    raise ArgumentError(f"answer: expected that of the network, to which fit={self.fit} fits")
+                fitted = self._fitted(HintView(offset, rays, values, factor, weight), answer)
+                if fitted is None:
+                    warnings.warn(
+                        f"hint: view {number + 1} of {len(self.views)} is left out, since no {self.fit} makes it agree "
+                        "with the network's own depth; is it of another frame?",
+                        stacklevel=4,
+                    )
+                    continue
+                values = fitted
+            along = (factor * values).clamp(min=1e-6)  # infinity is far
+            points = offset + rays / along[:, None]
+            distance = points.norm(dim=-1).clamp(min=1e-6)
+            directions.append(points / distance[:, None])
+            inverse.append(1 / distance)
+            weights.append(weight)
+        if not directions:
+            raise ArgumentError(
+                "hint: no view of it agrees with the network's own depth; give one of this frame, or fit=metres"
+            )
+        return _at_vertices(grid, torch.cat(directions), torch.cat(inverse), torch.cat(weights))
+
+    def _fitted(self, view: HintView, answer: Depth) -> Tensor | None:
+        """The values of a view, scaled and with ``"affine"`` shifted to the answer's; None if they do not agree."""
+        every = max(1, len(view.values) // COMPARED)
+        rays, values, factor = (part[::every].float() for part in (view.rays, view.values, view.factor))
+        assert view.start is not None
+        distance = distance_along(rays, view.start, lambda d: answer.at(d)[0], answer.min_depth)
+        met = distance.isfinite()
+        target = (1 / (distance * factor))[met]
+        where = F.normalize(view.start + distance[met, None] * rays[met], dim=-1)
+        sure = answer.at(where)[1] + 1e-3
+        values = values[met]
+        if len(values) < FEWEST:
+            return None
+        columns = [values, torch.ones_like(values)] if self.fit == "affine" else [values]
+        matrix = torch.stack(columns, 1).double()
+        trust = sure.double()
+        for _ in range(ROUNDS):
+            weighted = matrix * trust[:, None]
+            change = torch.linalg.lstsq(weighted.mT @ matrix, weighted.mT @ target.double()).solution
+            rest = (matrix @ change - target).abs()
+            trust = sure / (1 + (rest / rest.median().clamp(min=1e-6)).square())
+        if not change[0] > 0 or rest.median() > MOST_REST * target.median():
+            return None
+        return change[0].float() * view.values + (change[1].float() if self.fit == "affine" else 0)
+
+
+def warn_if_far(hint: DepthHint, depth: Depth) -> None:
+    """Warn where a hint has little to do with the depth that was found, as one of another frame has."""
+    inverse_depth, sure = (
+        values.reshape(hint.weight.shape) for values in (depth.inverse_depth, depth.confidence)
+    )
+    compared = (hint.weight > 0) & (sure > 0.5) & (inverse_depth * depth.max_depth > 1)
+    ratio = (hint.inverse_depth / inverse_depth - 1).abs()[compared]
+    if len(ratio) >= FEWEST and ratio.median() > FAR_OFF:
+        warnings.warn(
+            f"hint: its inverse depth is {100 * float(ratio.median()):.0f} % off from what the images say, in the "
+            "median where that is sure, and hardly counted; is it of another frame, or in another unit?",
+            stacklevel=3,
+        )
+
+
+def _view(
+    start: Tensor | None,
+    rays: Tensor,
+    values: Tensor,
+    factor: Tensor | None,
+    weight: float | Tensor,
+    usable: Tensor | None = None,
+) -> HintView:
+    """A view of those rays whose value is known and that count."""
+    rays, values = rays.detach().float(), values.detach().float()
+    weights = torch.as_tensor(weight, dtype=torch.float32, device=values.device).expand(values.shape)
+    if bool(((weights < 0) | (weights > 1)).any()):
+        raise ArgumentError(
+            f"weight: expected 0 to 1, got {weights.min().item():g} to {weights.max().item():g}"
+        )
+    known = values.isfinite() & rays.isfinite().all(-1) & (weights > 0)
+    if usable is not None:
+        known &= usable
+    factor = torch.ones_like(values) if factor is None else factor
+    return HintView(start, F.normalize(rays[known], dim=-1), values[known], factor[known], weights[known])
+
+
+def _at_vertices(grid: Icosphere, directions: Tensor, inverse: Tensor, weight: Tensor) -> DepthHint:
+    """What points say at the vertices nearest to them: the mean of those on the nearest surface."""
+    vertex = grid.nearest(directions)
+    zeros = inverse.new_zeros(grid.num_vertices)
+    front = zeros.scatter_reduce(0, vertex, inverse, "amax")
+    weight = weight.where(inverse >= SAME_SURFACE * front[vertex], 0.0)
+    total = zeros.index_add(0, vertex, weight)
+    mean = zeros.index_add(0, vertex, weight * inverse) / total.clamp(min=1e-6)
+    return DepthHint(mean[None], zeros.scatter_reduce(0, vertex, weight, "amax")[None])

@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hints as people have them: points, depth images, panoramas, the last frame; in metres or not; wrong ones."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision import Predictor
+from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.capture import Depth, Hint
+from sphericalvision.core import ArgumentError, ArgumentTypeError, ShapeError
+from sphericalvision.geometry import transform_from_axis_angle
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.models import WinnerTakesAll
+from sphericalvision.scenes import make_scene, ray_depth, render_rig
+from sphericalvision.sphere import Equirectangular
+from sphericalvision.sphere.resampling.views import Views
+from sphericalvision.sweep import index_from_depth
+
+SCENE, GRID = make_scene("room", seed=4), Icosphere(5)
+
+
+def rig_of_four() -> CameraRig:
+    return ring_rig(4, image_size=(160, 160))
+
+
+def true_depth(rig: CameraRig) -> Tensor:
+    return ray_depth(SCENE, rig.center, GRID.vertices)
+
+
+def depth_images(rig: CameraRig) -> dict[str, Tensor]:
+    """Metres along the rays, 0 where lenses show nothing."""
+    images = {}
+    for (name, camera), pose in zip(rig.cameras.items(), rig.world_from_camera, strict=True):
+        rays, seen = camera.unproject(camera.pixel_grid(torch.float32))
+        images[name] = torch.zeros(1, *camera.image_size)
+        images[name][0, seen] = ray_depth(SCENE, pose[:3, 3], rays[seen] @ pose[:3, :3].T)
+    return images
+
+
+def answer(rig: CameraRig, factor: float = 1.0) -> Depth:
+    """What a network would say that has the true depth, or a multiple of it."""
+    net = WinnerTakesAll(5, 64, 0.3, depth_coarsening=0)
+    ones = torch.ones(GRID.num_vertices)
+    return Depth(index_from_depth(factor * true_depth(rig), 64, 0.3), ones, ones > 0, net, rig, {})
+
+
+def error(hint: Any, rig: CameraRig) -> tuple[float, float]:
+    """Median relative error of a hint on vertices, and the share of them that have one."""
+    inverse_depth, weight = hint
+    known = weight > 0
+    return float((inverse_depth * true_depth(rig) - 1).abs()[known].median()), float(known.float().mean())
+
+
+def test_points_and_panoramas_are_told_from_the_centre() -> None:
+    rig = rig_of_four()
+    points = rig.center + true_depth(rig)[::50, None] * GRID.vertices[::50]
+    points = torch.cat((points, torch.tensor([[torch.nan, 0.0, 1.0], [0.0, 0.0, 0.0]])))
+    off, share = error(Hint.of_points(points, 0.5).on(GRID, rig), rig)
+    assert off < 1e-4
+    assert share == pytest.approx(1 / 50, rel=0.05)
+    moved = rig.replaced(
+        world_from_camera=transform_from_axis_angle(torch.zeros(3), torch.ones(3)) @ rig.world_from_camera
+    )
+    hint = Hint.of_points(points[:-2] + 1).on(GRID, moved)
+    assert error(hint, rig)[0] < 1e-4
+    grid = Equirectangular(160, 320)
+    panorama = ray_depth(SCENE, rig.center, grid.directions.reshape(-1, 3)).view(grid.shape)
+    off, share = error(Hint.of_directions(grid.directions, 1 / panorama).on(GRID, rig), rig)
+    assert off < 0.01
+    assert share > 0.99
+
+
+@pytest.mark.parametrize(
+    ("quantity", "fit"),
+    [("range", "metres"), ("z", "scale"), ("range", "scale"), ("range", "affine"), ("z", "affine")],
+)
+def test_depth_images_stand_where_their_cameras_stand_and_are_fitted_each(quantity: Any, fit: Any) -> None:
+    rig = ring_rig(4, image_size=(160, 160), field_of_view=2.6)
+    images = depth_images(rig)
+    for number, (name, camera) in enumerate(rig.cameras.items()):
+        rays = camera.unproject(camera.pixel_grid(torch.float32)).directions
+        values = images[name].where(images[name] > 0, torch.nan)
+        if quantity == "z":
+            values = values * rays[..., 2]
+        if fit == "scale":
+            values = values * (0.5, 1.0, 2.0, 9.0)[number]
+        if fit == "affine":
+            values = (1 / values + 0.1 * number) * (0.5, 1.0, 2.0, 9.0)[number]
+        images[name] = values if fit == "affine" else values.nan_to_num(0)
+    hint = Hint.of_views(Views(images, rig), quantity, fit)
+    off, share = error(hint.on(GRID, rig, answer(rig)), rig)
+    assert off < 0.02
+    assert share > 0.7
+    if fit != "metres":
+        off, _ = error(hint.on(GRID, rig, answer(rig, 1.3)), rig)
+        assert off == pytest.approx(1 - 1 / 1.3, abs=0.05)
+        with pytest.raises(ArgumentError, match="answer: expected that of the network"):
+            hint.on(GRID, rig)
+
+
+def test_views_at_the_origin_stand_at_the_centre_and_masks_count() -> None:
+    rig = rig_of_four()
+    center = rig.replaced(
+        world_from_camera=torch.cat(
+            (
+                torch.cat((rig.world_from_camera[:, :3, :3], torch.zeros(4, 3, 1)), 2),
+                rig.world_from_camera[:, 3:],
+            ),
+            1,
+        )
+    )
+    images = depth_images(center)
+    away = rig.center + torch.tensor([5.0, 0.0, 2.0])
+    there = rig.replaced(
+        world_from_camera=transform_from_axis_angle(torch.zeros(3), away) @ rig.world_from_camera
+    )
+    inverse_depth, weight = Hint.of_views(Views(images, center)).on(GRID, there)
+    assert error((inverse_depth, weight), rig)[0] < 0.02
+    masks = {name: torch.zeros(160, 160, dtype=torch.bool) for name in rig.names[1:]}
+    masked = Hint.of_views(Views(images, center.replaced(masks=masks))).on(GRID, there)
+    seen = GRID.vertices[masked.weight[0] > 0]
+    assert 0.3 < len(seen) / GRID.num_vertices < 0.75
+    assert (seen[:, 2] > -0.5).all()  # of the camera in front
+
+
+def test_the_last_frame_is_carried_on_by_the_pose() -> None:
+    rig = rig_of_four()
+    motion = transform_from_axis_angle(torch.tensor([0.0, 0.3, 0.0]), torch.tensor([0.1, 0.0, -0.3]))
+    moved = rig.replaced(world_from_camera=motion @ rig.world_from_camera)
+    carried = Hint.of_depth(answer(moved), torch.eye(4)).on(GRID, rig)  # both in one world
+    off, share = error(carried, rig)
+    assert off < 0.02
+    assert 0.8 < share < 1
+    back = Hint.of_depth(answer(moved), torch.linalg.inv(motion)).on(GRID, rig)
+    assert error(back, rig)[0] > 4 * off  # as if it had moved the other way
+    with pytest.raises(ShapeError, match=r"pose: expected shape \(4, 4\)"):
+        Hint.of_depth(answer(rig), torch.eye(3))
+
+
+def test_wrong_hints_are_refused() -> None:
+    rig = rig_of_four()
+    for empty in (torch.zeros(5, 3), torch.full((5, 3), torch.nan), torch.zeros(0, 3)):
+        with pytest.raises(ArgumentError, match="hint: nothing is known in it"):
+            Hint.of_points(empty)
+    blank = {name: torch.zeros(1, 160, 160) for name in rig.names}
+    for fit in ("metres", "scale", "affine"):
+        with pytest.raises(ArgumentError, match="hint: nothing is known in it"):
+            Hint.of_views(Views(blank, rig), fit=fit)  # type: ignore[arg-type]
+    blank["cam2"] -= 1
+    with pytest.raises(ArgumentError, match="hint: expected depth above 0, or 0 where it is unknown"):
+        Hint.of_views(Views(blank, rig))
+    with pytest.raises(ArgumentError, match="weight: expected 0 to 1, got 3 to 3"):
+        Hint.of_points(torch.ones(5, 3), 3.0)
+    with pytest.raises(ShapeError, match=re.escape("points: expected shape (P, 3)")):
+        Hint.of_points(torch.ones(5, 2))
+    with pytest.raises(ShapeError, match="directions: expected shape"):
+        Hint.of_directions(torch.ones(5, 3), torch.ones(4))
+    with pytest.raises(ArgumentTypeError, match="views: expected a Views"):
+        Hint.of_views(torch.ones(4, 1, 5, 5))  # type: ignore[arg-type]
+    with pytest.raises(ShapeError, match=re.escape("views: expected depth (1, h, w) of cam1")):
+        Hint.of_views(Views({name: torch.ones(3, 160, 160) for name in rig.names}, rig))
+
+
+def test_views_that_agree_with_nothing_are_left_out() -> None:
+    rig = rig_of_four()
+    images = depth_images(rig)
+    generator = torch.Generator().manual_seed(0)
+    images["cam3"] = (3 * torch.randn(1, 160, 160, generator=generator)).exp()
+    with pytest.warns(UserWarning, match="hint: view 3 of 4 is left out"):
+        hint = Hint.of_views(Views(images, rig), fit="scale").on(GRID, rig, answer(rig))
+    assert error(hint, rig)[0] < 0.02
+    every = dict.fromkeys(rig.names, images["cam3"])
+    with (
+        pytest.warns(UserWarning, match="is left out"),
+        pytest.raises(ArgumentError, match="hint: no view of it agrees"),
+    ):
+        Hint.of_views(Views(every, rig), fit="scale").on(GRID, rig, answer(rig))
+
+
+def test_a_predictor_takes_hints_and_says_if_one_is_of_another_frame() -> None:
+    rig = rig_of_four()
+    images = render_rig(SCENE, rig, 1)
+    predictor = Predictor(rig, "refinedsweepnet-fast", min_depth=0.55)
+    true = true_depth(rig)
+
+    def mean_error(depth: Depth) -> float:
+        return float((depth.inverse_depth - 1 / true).abs().mean())
+
+    points = rig.center + true[::3, None] * GRID.vertices[::3]
+    plain, hinted = predictor(images), predictor(images, Hint.of_points(points))
+    assert mean_error(hinted) < 0.8 * mean_error(plain)
+    assert mean_error(predictor(images, Hint.of_points(points * 7, fit="scale"))) < 0.9 * mean_error(plain)
+    with pytest.warns(UserWarning, match=r"hint: its inverse depth is \d+ % off .* is it of another frame"):
+        wrong = predictor(images, Hint.of_points(points * 0.3))
+    assert mean_error(wrong) < 1.3 * mean_error(plain)
+    with pytest.raises(ArgumentTypeError, match="hint: expected a Hint"):
+        predictor(images, points)  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="hint: SemiGlobalSweep takes none"):
+        Predictor(rig, method="semi_global", level=4, min_depth=0.5)(images, Hint.of_points(points))

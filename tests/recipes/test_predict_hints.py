@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``sphericalvision-predict hint=...``: files of each kind, the last frame, and what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.io.images import write_image, write_pages
+from sphericalvision.scenes import make_scene, ray_depth, render_rig
+from sphericalvision.sphere import Equirectangular
+from tests.recipes.tiny import Run
+
+SCENE = make_scene("room", seed=4)
+SIZE = (120, 120)
+
+
+def depth_images(rig: CameraRig) -> dict[str, Tensor]:
+    images = {}
+    for (name, camera), pose in zip(rig.cameras.items(), rig.world_from_camera, strict=True):
+        rays, seen = camera.unproject(camera.pixel_grid(torch.float32))
+        images[name] = torch.zeros(camera.image_size)
+        images[name][seen] = ray_depth(SCENE, pose[:3, 3], rays[seen] @ pose[:3, :3].T)
+    return images
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Frames 0 and 1 of a room, the second 10 cm on, and true depth of the first as everybody writes it."""
+    folder = tmp_path_factory.mktemp("hints")
+    rig = ring_rig(4, image_size=SIZE)
+    rig.to_yaml(folder / "rig.yaml")
+    poses = []
+    for frame in range(4):
+        moved = rig.world_from_camera.clone()
+        moved[:, 2, 3] += 0.1 * frame
+        poses.append(f"{frame} 0 0 {0.1 * frame} 0 0 0 1")
+        for name, image in render_rig(SCENE, rig.replaced(world_from_camera=moved), 1).items():
+            write_image(folder / f"{name}/{frame}.png", image)
+    (folder / "poses.txt").write_text("\n".join(poses))
+    points = (ray_depth(SCENE, rig.center, Icosphere(5).vertices)[:, None] * Icosphere(5).vertices).numpy()
+    trimesh.PointCloud(points).export(folder / "0.ply")
+    np.save(folder / "0.npy", points)
+    for name, depth in depth_images(rig.resized((80, 80))).items():
+        write_pages(folder / f"mm/{name}/0.png", [(1000 * depth).numpy().astype(np.uint16)])
+        inverse = 3 / depth.where(depth > 0, torch.inf) + 1
+        write_pages(folder / f"mono/{name}/0.tiff", [inverse.where(depth > 0, torch.nan).numpy()])
+    grid = Equirectangular(64, 128)
+    panorama = ray_depth(SCENE, rig.center, grid.directions.reshape(-1, 3)).view(64, 128)
+    write_pages(folder / "panorama0.tiff", [panorama.numpy()])
+    np.savez(folder / "bad0.npz", depth=np.ones(5))
+    return folder
+
+
+def words(capture: Path, output: str, frames: str = "[0]") -> list[str]:
+    return [
+        f"calibration={capture}/rig.yaml",
+        f"images={capture}/{{camera}}/{{frame}}.png",
+        "checkpoint=refinedsweepnet-fast",
+        "min_depth=0.55",
+        "outputs=[npz]",
+        "height=32",
+        "device=cpu",
+        "align=false",
+        f"frames={frames}",
+        f"output={output}",
+    ]
+
+
+def error(path: Path) -> float:
+    """Mean error of the inverse depth of the first frame."""
+    with np.load(path) as arrays:
+        inverse_depth, directions = (torch.from_numpy(arrays[key]) for key in ("inverse_depth", "directions"))
+        center = torch.from_numpy(arrays["center"]).float()
+    return float((inverse_depth - 1 / ray_depth(SCENE, center, directions)).abs().mean())
+
+
+def test_hints_of_each_kind_of_file(run: Run, capture: Path, tmp_path: Path) -> None:
+    run("predict", *words(capture, "none"))
+    plain = error(tmp_path / "none/0_depth.npz")
+    kinds: dict[str, list[str]] = {
+        "ply": [f"hint={capture}/{{frame}}.ply"],
+        "npy": [f"hint={capture}/{{frame}}.npy", "hint_fit=scale"],
+        "mm": [f"hint={capture}/mm/{{camera}}/{{frame}}.png"],
+        "mono": [f"hint={capture}/mono/{{camera}}/{{frame}}.tiff", "hint_fit=affine"],
+        "panorama": [f"hint={capture}/panorama{{frame}}.tiff"],
+    }
+    for name, given in kinds.items():
+        run("predict", *words(capture, name), *given)
+        assert error(tmp_path / f"{name}/0_depth.npz") < 0.85 * plain, name
+    run("predict", *words(capture, "again"), f"hint={tmp_path}/ply/{{frame}}_depth.npz")
+    assert error(tmp_path / "again/0_depth.npz") < plain
+
+
+def test_hints_of_other_frames_or_kinds_are_refused(failing: Callable[..., str], capture: Path) -> None:
+    def message(*given: str, frames: str = "[0]") -> str:
+        return failing("predict", *words(capture, "out", frames), *given)
+
+    assert "give poses=, or leave hint out" in message("hint=last")
+    assert "frame 1 of camera" in message(f"hint={capture}/{{frame}}.ply", frames="[1]")
+    assert "SemiGlobalSweep takes none" in message("hint=last", "method=semi_global")
+    assert "twice as wide as high" in message(f"hint={capture}/mm/cam1/{{frame}}.png")
+    assert "hint_fit: affine is for images" in message(f"hint={capture}/{{frame}}.ply", "hint_fit=affine")
+    assert "they do not hold it" in message(f"hint={capture}/{{camera}}/{{frame}}.png")
+    assert "expected directions, inverse_depth" in message(f"hint={capture}/bad{{frame}}.npz")
+    assert "there are 2 frames" in message(f"hint={capture}/0.ply", frames="[0,1]")
+    posed = [f"poses={capture}/poses.txt", "window=2", "up=-y"]
+    assert "not of windows with poses=" in message(f"hint={capture}/{{frame}}.ply", *posed, frames="null")
+
+
+def test_the_last_frame_as_a_hint_goes_by_the_poses(run: Run, capture: Path, tmp_path: Path) -> None:
+    for name, given in {"none": [], "last": ["hint=last"]}.items():
+        posed = [f"poses={capture}/poses.txt", "window=2", "spacing=0.05", *given]
+        run("predict", *words(capture, name, "null"), *posed)
+    files = [sorted((tmp_path / name).glob("*.npz")) for name in ("none", "last")]
+    assert len(files[0]) == len(files[1]) >= 2
+    plain, carried = ([error(path) for path in paths] for paths in files)
+    assert carried[0] == plain[0]  # there is no frame before
+    assert carried[1] != plain[1]
+    assert carried[1] < 1.1 * plain[1]

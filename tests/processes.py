@@ -8,7 +8,18 @@ import subprocess
 import sys
 from pathlib import Path
 
-__all__ = ["python"]
+__all__ = ["modules_after", "python"]
+
+FORKS = """
+import os, sys
+import torch
+for program in sys.argv[1:]:
+    if not os.fork():
+        exec(program)
+        print("MODULES", *sys.modules, flush=True)
+        os._exit(0)
+    assert os.wait()[1] == 0, program
+"""
 
 
 def python(*words: str, folder: Path | None = None, path: Path | None = None) -> str:
@@ -23,3 +34,12 @@ def python(*words: str, folder: Path | None = None, path: Path | None = None) ->
     )
     assert result.returncode == 0, result.stdout + result.stderr
     return result.stdout
+
+
+def modules_after(*programs: str) -> list[set[str]]:
+    """Names of the modules that each of these programs ends up with, in a process where only torch was imported.
+
+    Torch, most of what a program waits for, is imported once: the processes are forks of one.
+    """
+    printed = python("-c", FORKS, *programs).split("MODULES ")[1:]
+    return [set(names.split()) for names in printed]

@@ -5,14 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.processes import python
-
-LOADED = """
-import sys
-from importlib import import_module
-import_module(sys.argv[1])
-print(*sys.modules)
-"""
+from tests.processes import modules_after, python
 
 HEAVY = ("matplotlib", "trimesh", "kornia", "cv2", "skimage", "torchmetrics", "hydra", "pytorch_lightning")
 
@@ -38,14 +31,16 @@ ROOMS = {
 """The modules and rooms that may be loaded with it, and how many modules of this package in all."""
 
 
-def loaded(module: str) -> set[str]:
-    return set(python("-c", LOADED, module).split())
+@pytest.fixture(scope="module")
+def loaded() -> dict[str, set[str]]:
+    """The modules that importing each room loads."""
+    return dict(zip(ROOMS, modules_after(*(f"import {room}" for room in ROOMS)), strict=True))
 
 
 @pytest.mark.parametrize("module", ROOMS)
-def test_a_room_loads_what_it_is_made_of(module: str) -> None:
+def test_a_room_loads_what_it_is_made_of(module: str, loaded: dict[str, set[str]]) -> None:
     rooms, most = ROOMS[module]
-    found = loaded(module)
+    found = loaded[module]
     ours = {name for name in found if name.split(".")[0] == "sphericalvision"}
     allowed = {"sphericalvision", "sphericalvision.core", *(f"sphericalvision.{room}" for room in rooms)}
     strange = {name for name in ours - {module} if ".".join(name.split(".")[:2]) not in allowed}

@@ -57,7 +57,12 @@ def is_right(found: RigTurns, turns: Tensor) -> bool:
 
 @pytest.mark.parametrize(
     ("kind", "camera", "degrees"),
-    [("room", 0, 0.0), ("bare", 2, 1.5), ("hall", 1, 0.5), ("floating", 3, 3.0)],
+    [
+        pytest.param("room", 0, 0.0, marks=pytest.mark.slow),
+        pytest.param("bare", 2, 1.5, marks=pytest.mark.slow),
+        ("hall", 1, 0.5),  # the smallest turn that is told is the hardest of them
+        pytest.param("floating", 3, 3.0, marks=pytest.mark.slow),
+    ],
 )
 def test_a_knocked_camera_is_named_and_others_are_not(kind: str, camera: int, degrees: float) -> None:
     turns = knock(camera, degrees)

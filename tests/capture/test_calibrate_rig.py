@@ -75,7 +75,7 @@ def test_a_board_counted_from_its_other_end_is_told_by_its_poses(views: list[int
     torch.testing.assert_close(back, straight.residuals, rtol=0, atol=1e-3)
 
 
-@pytest.mark.parametrize("cameras", [2, 3])
+@pytest.mark.parametrize("cameras", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_cameras_that_contradict_each_other_are_refused(cameras: int) -> None:
     """A square board turned by 90°, or views of other moments: each camera explains its own."""
     board = grid_of(7, 7)

@@ -433,6 +433,7 @@ def test_a_preset_takes_the_weights_for_its_level_and_says_so(
         "device=cpu",
         "stop=1",
         "height=16",
+        "align=false",
     ]
     run("predict", *words, "preset=fast", "output=out", "outputs=[npz]")
     assert "weights refinedsweepnet-fast" in " ".join(capsys.readouterr().out.split())
@@ -444,6 +445,7 @@ def test_a_preset_takes_the_weights_for_its_level_and_says_so(
 
 def test_the_fast_preset_is_one_level_coarser(run: Run, capture: Path, weights: Path, tmp_path: Path) -> None:
     words = [f"calibration={capture / 'rig.yaml'}", f"checkpoint={weights}", "device=cpu", "stop=1"]
+    words += ["align=false"]
     run("predict", *words, f"images={capture}/images", "preset=fast", "output=out", "outputs=[npz]")
     with np.load(tmp_path / "out/000_depth.npz") as arrays:
         assert arrays["depth_panorama"].shape == (160, 320)
@@ -461,6 +463,7 @@ def test_images_of_another_size_are_told(
         "device=cpu",
         "stop=1",
         "height=16",
+        "align=false",
     ]
     run("predict", *words, f"images={capture}/images", "output=out")
     assert "images of cam1 have 20 x 16 pixels (width x height), the calibration is for 40 x 32" in (

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from sphericalvision.recipes.app.rigs import make_ring
-from tests.processes import python
+from tests.processes import modules_after, python
 from tests.recipes.tiny import write_capture
 
 LIGHTNING = ("pytorch_lightning", "lightning_fabric", "tensorboard", "torch._inductor")
@@ -40,14 +40,29 @@ def imported(program: str) -> set[str]:
 
 
 SLOW = ("train", "evaluate", "demo")
+QUICK = tuple(command for command in COMMANDS if command not in SLOW)
 
 
-@pytest.mark.parametrize(
-    "command", [pytest.param(c, marks=[pytest.mark.slow] * (c in SLOW)) for c in COMMANDS]
-)
-def test_a_command_imports_only_what_it_uses(command: str) -> None:
-    modules = imported(f"import sphericalvision.recipes.commands.{command}")
-    assert modules.isdisjoint(COMMANDS[command])
+def imports_of(*commands: str) -> dict[str, set[str]]:
+    """The modules that the work of each of these commands loads."""
+    programs = (f"import sphericalvision.recipes.commands.{command}" for command in commands)
+    return dict(zip(commands, modules_after(*programs), strict=True))
+
+
+@pytest.fixture(scope="module")
+def quick_imports() -> dict[str, set[str]]:
+    return imports_of(*QUICK)
+
+
+@pytest.mark.parametrize("command", QUICK)
+def test_a_command_imports_only_what_it_uses(command: str, quick_imports: dict[str, set[str]]) -> None:
+    assert quick_imports[command].isdisjoint(COMMANDS[command])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", SLOW)
+def test_a_long_command_imports_only_what_it_uses(command: str) -> None:
+    assert imports_of(command)[command].isdisjoint(COMMANDS[command])
 
 
 @pytest.mark.parametrize("command", [*COMMANDS, "study", "speed"])

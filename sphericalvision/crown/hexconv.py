@@ -111,6 +111,7 @@ def _north_fraction(level: int) -> Tensor:
         return torch.atan2(turned, (flat_start * flat_end).sum(-1))
 
     fraction = (angle(up, north) / angle(up, left)).clamp(0, 1)
+    # At vertices of valence five the two neighbours are none of a hexagon's: `NORTH_RINGS` turns their taps instead.
     fraction[:, n - 1 :: n, 0] = 0
     return F.pad(fraction.flatten(), (1, 1))
 

@@ -1,5 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a world takes its randomness from. A seed has to mean the same for ever, so each order of draws stays."""
+"""Where a world takes its randomness from.
+
+A seed has to mean the same for ever: caches, splits and published numbers name samples by it. So there are three
+orders of draws, for three families of sets: random rigs (``by_purpose``), scenes around one rig (``by_seed``), and
+scenes around the rig of a capture that a network is adapted to (``by_seed_and_globally``). One order for all would
+give every seed of two of them another scene.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +42,8 @@ def by_purpose(seed: int) -> Draws:
     Only what happens to images goes on where the carrier stopped.
     """
     kind, rig, faults, carrier, poses, brightness, sky = (
-        torch.Generator().manual_seed(seed * 8 + purpose) for purpose in range(7)
+        torch.Generator().manual_seed(seed * 8 + purpose)  # eight a seed, so that no two seeds share one
+        for purpose in range(7)
     )
     return Draws(kind, sky, rig, carrier, faults, brightness, carrier, poses, _by_cumulated_shares)
 

@@ -231,6 +231,8 @@ def semi_global_costs(
     average = cost.masked_fill(~known, 0.0).sum(1, keepdim=True) / count.clamp(min=1)
     cost = torch.where(known, cost, average.masked_fill(count == 0, 1.0))
     winner = cost.masked_fill(~known, torch.inf).min(1).indices  # as argmin, which takes four times as long
+    # Nobody has photographed what is seen from the centre, whose colours say where depth may jump: they are looked up
+    # at the hypothesis that costs least before it is smoothed.
     shown = torch.ones_like(images[:, :, 0]) if seen is None else check_seen(seen, images).to(images)
     guide = _colors_at(images, shown, tables, winner)
     return SmoothedCosts(evidence, semi_global_smoothing(cost, small_penalty, large_penalty, guide, contrast))
@@ -239,6 +241,7 @@ def semi_global_costs(
 def _colors_at(images: Tensor, shown: Tensor, tables: SweepTables, winner: Tensor) -> Tensor:
     """Mean ``(B, C, V)`` over the cameras that see it of the colours at hypotheses ``(B, V)``."""
     batch, _, channels, _ = images.shape
+    # One entry of the tables a vertex is picked before the sweep, which else would look colours up at all hypotheses.
     place = winner[:, None, :, None]
     chosen = []
     for table in (tables.ids, tables.weights, tables[2].unsqueeze(-1)):
@@ -246,6 +249,7 @@ def _colors_at(images: Tensor, shown: Tensor, tables: SweepTables, winner: Tenso
         entries = entries.expand(batch, *entries.shape[1:])
         chosen.append(entries.gather(1, place[..., None].expand(-1, -1, -1, *entries.shape[-2:])))
     at_winner = SweepTables(chosen[0], chosen[1], chosen[2].squeeze(-1))
+    # Weights are swept along with the colours and divided out, so that what is masked does not darken its neighbours.
     features = torch.cat((images * shown[:, :, None], shown[:, :, None]), 2)
     values = sphere_sweep(features, at_winner).values.squeeze(3).sum(1)  # over the cameras
     return values[:, :channels] / values[:, channels:].clamp(min=LEAST_SHARE)

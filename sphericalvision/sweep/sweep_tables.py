@@ -121,6 +121,7 @@ def _tables_of_one_rig(
 ) -> SweepTables:
     """Tables of directions ``(V, 3)`` and n cameras by offset ``(n, 3)``, axis ``(n, 3)`` and limit ``(n,)``."""
     shape = len(inverse_depths), len(points), len(offsets)
+    # Coordinates come first, (3, vertices, cameras), so that every step of the arithmetic runs over contiguous memory.
     # Written out for every vertex and camera: to repeat so few numbers as there are cameras is slow.
     points, offsets, axes = (
         vectors.expand(3, *shape[1:]).contiguous()
@@ -175,7 +176,11 @@ def _in_view(rays: Tensor, axes: Tensor, limits: Tensor, out: Tensor) -> None:
 def _blocks(
     num_hypotheses: int, num_vertices: int, num_cameras: int, size: int
 ) -> Iterator[tuple[slice, slice]]:
-    """Hypotheses and vertices of about ``size`` entries at once, which follow each other in memory."""
+    """Hypotheses and vertices of about ``size`` entries at once, which follow each other in memory.
+
+    Either all vertices of some hypotheses or some vertices of one: such a block of a table is a view without gaps, into
+    which results are written directly, and what lies between points and results stays in the processor's cache.
+    """
     hypotheses = max(1, size // (num_vertices * num_cameras))
     vertices = num_vertices if hypotheses > 1 else max(1, min(num_vertices, size // num_cameras))
     for hypothesis in range(0, num_hypotheses, hypotheses):

@@ -309,6 +309,7 @@ class _Points:
         has_lens = [not isinstance(camera, EquirectangularCamera) for camera in rig.cameras.values()]
         squared = (angles / edge[:, None]).clamp(max=1).square()
         squared = squared * torch.tensor(has_lens, device=squared.device)[:, None]
+        # Double precision, because normal equations square the condition number.
         basis = torch.stack((squared, squared.square()), -1).double().unflatten(1, (self.num_depths, -1))
         # Of each two cameras that both see some point: their numbers, and the row of an equation in the difference of
         # their exposures and the falloff of either, [1, -basis, basis].
@@ -344,6 +345,7 @@ class _Points:
         unknown = difference.new_zeros(len(count), size)
         scale = difference.new_full((len(count),), 0.3)
         for _ in range(_ROUNDS):
+            # Cauchy's weights: points that one camera sees hidden, or mirrored, differ by what no lens explains.
             relative = self._rest(difference, unknown, to_all) / scale.view(-1, 1, 1, 1)
             weights = used / (1 + relative.square())
             normal, target = self._normal(weights, difference, to_all, 1)
@@ -351,6 +353,7 @@ class _Points:
             whole = normal[:, 0] + hold * mean[:, None, None]
             unknown = solved(whole, target[:, 0])
             rest = self._rest(difference, unknown, to_all).abs().where(used, math.nan)
+            # The standard deviation of a normal distribution with this median of absolute values.
             scale = (1.4826 * median_of_known(rest.flatten(1))).clamp(min=0.01)
         residual = scale.where(count > 0, 0.0)
         best = residual.argmin()[None]

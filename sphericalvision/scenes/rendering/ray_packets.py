@@ -98,6 +98,7 @@ def candidate_pairs(
     def local(by: Tensor, world: Tensor) -> Tensor:
         return (by @ world).view(3, len(table.order), -1)
 
+    # A slab is its own mirror image, so only distance and speed relative to its middle count, not the side of a packet.
     start = local(turn, origin).sub_(table.offset[..., None])
     away = start.abs()
     width = torch.add(table.box[..., None] + MARGIN, away, alpha=ROUNDING)
@@ -108,7 +109,8 @@ def candidate_pairs(
     either = local(size, spread)
     most, least = toward + either, toward.sub_(either)
     enter = outside.clamp(min=0) / most.clamp(min=TINY)
-    # Reciprocals of the times of leaving: by the far side, or, having started inside, by the near one.
+    # Reciprocals of the times of leaving: by the far side, or, having started inside, by the near one. Rays along a
+    # slab never leave it, for which a reciprocal is 0 and no infinity has to be treated apart.
     rate = torch.maximum(least.div_(width + away), most.div_(outside.clamp(max=-TINY))).amax(0)
     soonest = 1 / FAR if limit is None else limit.amax(-1).clamp_(min=TINY).reciprocal_()
     rate = torch.maximum(rate, torch.as_tensor(soonest).to(rate))

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -31,6 +32,14 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("scenes")
 
 
+@pytest.fixture(scope="module")
+def furnished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with everything that pages name, which each page gets a copy of."""
+    folder = tmp_path_factory.mktemp("furnished")
+    furnish(folder)
+    return folder
+
+
 def name(page: Path) -> str:
     return page.relative_to(ROOT).as_posix()
 
@@ -40,9 +49,9 @@ def name(page: Path) -> str:
     [pytest.param(p, id=name(p), marks=[pytest.mark.slow] * (name(p) not in QUICK)) for p in WITH_COMMANDS],
 )
 def test_the_commands_of_a_page_run(
-    page: Path, tmp_path: Path, cache: Path, capsys: pytest.CaptureFixture[str]
+    page: Path, tmp_path: Path, cache: Path, furnished: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    furnish(tmp_path)
+    shutil.copytree(furnished, tmp_path, dirs_exist_ok=True)
     write_files_of(page, tmp_path)
     for command in commands_of(page):
         try:

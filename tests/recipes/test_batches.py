@@ -119,14 +119,8 @@ def test_loss_and_gradients_of_a_batch_are_the_mean_of_its_samples(
         torch.testing.assert_close(gradient, expected[key], rtol=1e-6, atol=1e-9, msg=key)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "omnimvs",
-        pytest.param("icosweepnet", marks=pytest.mark.slow),
-        pytest.param("refinedsweepnet", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.slow  # tests/models/test_one_graph.py says of every network that it never asks the host
+@pytest.mark.parametrize("name", ["omnimvs", "icosweepnet", "refinedsweepnet"])
 def test_a_compiled_step_is_one_graph_and_the_same(name: str, generator: torch.Generator) -> None:
     torch.manual_seed(0)
     net = NETWORKS[name]().double().train()

@@ -7,6 +7,7 @@ import hashlib
 import random
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, ClassVar
 
 import torch
@@ -186,12 +187,12 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
             return scenes
         return WithFixedInputs(scenes, self.net)
 
-    def level_of(self, index: int) -> int:
-        """The level of a training sample. As many batches as the shares say are of each."""
+    @property
+    def level_of(self) -> Callable[[int], int]:
+        """The level of a training sample, by its index. As many batches as the shares say are of each."""
         assert self.levels is not None
-        samples = [part["share"] * part["batch_size"] for part in self.levels.values()]
-        generator = random.Random(self.seeds("train")[index])
-        return generator.choices(list(self.levels), samples)[0]
+        samples = {level: part["share"] * part["batch_size"] for level, part in self.levels.items()}
+        return partial(_drawn_level, samples, self.seeds("train"))
 
     def group(self, index: int) -> tuple[int | None, int, bool]:
         """Level, number of cameras and kind of lens of a training sample."""
@@ -205,7 +206,7 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
         if self.levels is None:
             return self.batch_size
         sizes = {level: part["batch_size"] for level, part in self.levels.items()}
-        return lambda group: sizes[group[0]]
+        return partial(_size_for, sizes)
 
     def train_dataloader(self) -> Any:
         """Endless training batches, some of them again where the next is not ready."""
@@ -227,3 +228,16 @@ def fingerprint(net: DepthNetwork) -> str:
         if not parameter.requires_grad
     ]
     return hashlib.sha256(b"".join(fixed)).hexdigest()[:8]
+
+
+# Functions of the module, as processes of a loader take them along: with a method they would take the trainer, too.
+
+
+def _drawn_level(samples: Mapping[int, float], seeds: Sequence[int], index: int) -> int:
+    """One of the levels for the sample of a seed, as often as it has samples."""
+    return random.Random(seeds[index]).choices(list(samples), list(samples.values()))[0]
+
+
+def _size_for(sizes: Mapping[int, int], group: tuple[int, int, bool]) -> int:
+    """Samples in a batch of a group."""
+    return sizes[group[0]]

@@ -203,8 +203,9 @@ def _between(one: CameraRig, other: CameraRig) -> Tensor:
 def _estimated(depths: Sequence[Depth]) -> RigTurns:
     """Turns from coarse to fine, and how well the coarse images agreed before and after."""
     rig = depths[0].rig
-    better = reduced_rig(rig, min(step[0] for step in STEPS))
-    frames = [averaged(better, _smooth(depth)) for depth in depths]
+    pixel = min(step[0] for step in STEPS)
+    better = reduced_rig(rig, pixel)
+    frames = [averaged(better, _smooth(depth, pixel)) for depth in depths]
     images = {name: torch.stack([frame[name] for frame in frames]) for name in rig.names}
     agreements = []
     for pixel, blur, iterations, level in STEPS:
@@ -239,8 +240,14 @@ def _observability(rig: CameraRig) -> float:
     return max(float(torch.linalg.eigvalsh(across.mT @ across / max(len(rays), 1))[0]), 1e-6)
 
 
-def _smooth(depth: Depth) -> dict[str, Tensor]:
-    return {name: denoised(image, depth.rig.masks.get(name)) for name, image in depth.images.items()}
+def _smooth(depth: Depth, pixel: float) -> dict[str, Tensor]:
+    """Images of a frame without noise, as seen with pixels of so many radians."""
+    return {
+        name: denoised(
+            image, depth.rig.masks.get(name), max(1, int(pixel * pixels_a_radian(depth.rig.cameras[name])))
+        )
+        for name, image in depth.images.items()
+    }
 
 
 def _along(depth: Depth, directions: Tensor) -> tuple[Tensor, Tensor]:

@@ -65,6 +65,43 @@ def test_smoothing_brings_images_back(clean: dict[str, Tensor]) -> None:
         assert after < 0.6 * before
 
 
+@pytest.mark.parametrize("shrink", [2, 3])
+def test_means_that_are_looked_up_are_smoothed_and_nothing_else(
+    clean: dict[str, Tensor], shrink: int
+) -> None:
+    """The means over squares come nearer to the truth; within a square differences stay, and masked pixels."""
+
+    def means(image: Tensor) -> Tensor:
+        return torch.nn.functional.avg_pool2d(image, shrink, ceil_mode=True)
+
+    usable = torch.ones(128, 128, dtype=torch.bool)
+    usable[70:] = False
+    for name, image in noisy(clean, 0.05).items():
+        smooth = denoised(image, shrink=shrink)
+        before, after = ((means(each) - means(clean[name])).square().mean() for each in (image, smooth))
+        assert after < 0.7 * before
+        change = (smooth - image)[:, : 128 // shrink * shrink, : 128 // shrink * shrink]
+        squares = change.unfold(1, shrink, shrink).unfold(2, shrink, shrink)
+        torch.testing.assert_close(squares, squares[..., :1, :1].expand_as(squares), rtol=0, atol=1e-6)
+        other = image.where(usable, torch.rand(image.shape, generator=torch.Generator().manual_seed(1)))
+        part = [denoised(each, usable, shrink)[:, :70] for each in (image, other)]
+        torch.testing.assert_close(*part, rtol=0, atol=1e-3)
+        assert noise_of(other, usable) > LEAST_NOISE
+    assert denoised(clean["cam1"], shrink=shrink).equal(clean["cam1"])
+
+
+def test_a_predictor_smooths_at_the_resolution_that_its_network_sees(
+    rig: CameraRig, clean: dict[str, Tensor]
+) -> None:
+    """At a level four times as coarse as the images, squares of four pixels are one value."""
+    predictor = Predictor(rig, method="semi_global", level=3, min_depth=0.5)
+    intake = predictor.network.intake(rig)
+    assert {look.shrink for look in intake.lookups} == {4}
+    faulty = noisy(clean, 0.05)
+    smooth = intake({name: denoised(image, shrink=4) for name, image in faulty.items()})
+    torch.testing.assert_close(predictor.inputs(faulty)[0], smooth, rtol=0, atol=1e-5)
+
+
 def test_images_without_noise_stay_as_they_are(rig: CameraRig, clean: dict[str, Tensor]) -> None:
     assert all(noise_of(image) < LEAST_NOISE for image in clean.values())
     found = compensated(rig, clean)

@@ -7,7 +7,7 @@ What cameras did to their images is taken out: noise, exposure, vignetting.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import NamedTuple
@@ -164,11 +164,14 @@ class Compensator:
 
     Args:
         rig: unbatched.
+        shrink: sides of the squares of pixels that are averaged where the images are looked up, a camera each; 1 when
+            not given. Noise is smoothed in these means: fewer values, of less noise.
     """
 
-    def __init__(self, rig: CameraRig) -> None:
+    def __init__(self, rig: CameraRig, shrink: Sequence[int] | None = None) -> None:
         self.rig = rig
-        self._usable = {name: _inside(mask) for name, mask in rig.masks.items()}
+        self._shrink = dict(zip(rig.names, shrink or [1] * len(rig), strict=True))
+        self._usable = {name: _inside(mask, self._shrink[name]) for name, mask in rig.masks.items()}
 
     @cached_property
     def photometer(self) -> Photometer:
@@ -202,14 +205,16 @@ class Compensator:
     ) -> tuple[dict[str, Float[Tensor, "b c _ _"]], Float[Tensor, "b n"]]:
         """Return images without noise, and how much there was in those of each camera."""
         smooth, noise = {}, []
-        first = next(iter(images.values()))
-        alike = not self._usable and all(image.shape == first.shape for image in images.values())
+        first, *_ = images.values()
+        shrink = {self._shrink[name] for name in images}
+        alike = not self._usable and len(shrink) == 1
+        alike = alike and all(image.shape == first.shape for image in images.values())
         if alike and in_one_graph(first.device):  # a quarter of the operations, if there are four cameras
-            together, amounts = _smoothed(torch.cat(list(images.values())), None)
+            together, amounts = _smoothed(torch.cat(list(images.values())), None, *shrink)
             parts = together.split(len(first))
             return dict(zip(images, parts, strict=True)), amounts.view(len(images), -1).mT
         for name, image in images.items():
-            smooth[name], amounts = _smoothed(image, self._usable.get(name))
+            smooth[name], amounts = _smoothed(image, self._usable.get(name), self._shrink[name])
             noise.append(amounts)
         return smooth, torch.stack(noise, 1)
 
@@ -259,13 +264,15 @@ def _spread(image: Tensor) -> Tensor:
 
 
 def denoised(
-    image: Float[Tensor, "*batch c h w"], usable: Bool[Tensor, "h w"] | None = None
+    image: Float[Tensor, "*batch c h w"], usable: Bool[Tensor, "h w"] | None = None, shrink: int = 1
 ) -> Float[Tensor, "*batch c h w"]:
     """Return an image with its noise smoothed by a bilateral filter, or as it is where there is little.
 
     Args:
         image: in [0, 1], of 1 or 3 channels.
         usable: False where the image shows something else; that has no influence on the rest.
+        shrink: side of the squares of pixels that will be averaged: their means are smoothed, which costs less, and
+            what is finer stays, so that single pixels may leave [0, 1].
 
     References:
         Tomasi, Manduchi (1998), "Bilateral filtering for gray and color images".
@@ -277,20 +284,33 @@ def denoised(
         (True, True)
     """
     frames = image.reshape(-1, *image.shape[-3:])
-    return _smoothed(frames, None if usable is None else _inside(usable))[0].view_as(image)
+    inside = None if usable is None else _inside(usable, shrink)
+    return _smoothed(frames, inside, shrink)[0].view_as(image)
 
 
-def _smoothed(image: Tensor, inside: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Frames ``(b, c, h, w)``, each smoothed if it has to be, and the noise of those that were ``(b,)``, else 0."""
+def _smoothed(image: Tensor, inside: Tensor | None, shrink: int = 1) -> tuple[Tensor, Tensor]:
+    """Frames ``(b, c, h, w)``, each smoothed if it has to be, and the noise of those that were ``(b,)``, else 0.
+
+    ``shrink`` is that of ``denoised``.
+    """
     noise = _noise(image.detach(), inside)
     noise = noise.where(noise >= LEAST_NOISE, 0.0)
     if not needed(noise > 0):
         return image, noise
     chosen = (noise > 0).view(-1, 1, 1, 1)
+    means = image.detach()
+    if shrink > 1:
+        means = F.avg_pool2d(means, shrink, ceil_mode=True)
+    filtered = _filtered_by_opencv if image.is_cpu and not in_one_graph(image.device) else bilateral
+    smooth = filtered(means, CONTRAST * noise / shrink)
+    if shrink > 1:  # on the images there are as few passes as can be: they cost more than the filter
+        change = (smooth - means).where(chosen, 0.0)
+        smooth = F.interpolate(change, scale_factor=shrink)[..., : image.shape[-2], : image.shape[-1]]
+        smooth += image
+        chosen = chosen.new_ones(())
     if inside is not None:
         chosen = chosen & inside
-    filtered = _filtered_by_opencv if image.is_cpu and not in_one_graph(image.device) else bilateral
-    return filtered(image.detach(), CONTRAST * noise).where(chosen, image), noise
+    return smooth if shrink > 1 and inside is None else smooth.where(chosen, image), noise
 
 
 def _filtered_by_opencv(image: Tensor, deviation: Tensor) -> Tensor:
@@ -366,9 +386,12 @@ def noise_of(image: Float[Tensor, "c h w"], usable: Bool[Tensor, "h w"] | None =
     return float(_noise(image.detach()[None], None if usable is None else _inside(usable)))
 
 
-def _inside(usable: Tensor) -> Tensor:
+def _inside(usable: Tensor, shrink: int = 1) -> Tensor:
     """Pixels of which the whole window is usable: True where the filter sees nothing else."""
-    kernel = np.ones((WINDOW, WINDOW), np.uint8)
+    side = (
+        WINDOW + 1
+    ) * shrink - 1  # from the last pixel of a square to the first of the window's first square
+    kernel = np.ones((side, side), np.uint8)
     eroded = cv2.erode(usable.cpu().numpy().astype(np.uint8), kernel)
     return torch.from_numpy(eroded.astype(bool)).to(usable.device)
 

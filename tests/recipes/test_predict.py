@@ -18,7 +18,7 @@ from omegaconf import OmegaConf
 
 import sphericalvision.capture.predictor
 import sphericalvision.io.images
-from sphericalvision.cameras import ring_rig, save_rig
+from sphericalvision.cameras import CameraRig, FisheyeCamera, convert, ring_rig, save_rig
 from sphericalvision.cameras.robot_frame import OPTICAL_FROM_ROS, placed
 from sphericalvision.cameras.trajectory import upright_turn
 from sphericalvision.capture.outputs import read_shares
@@ -153,6 +153,43 @@ def test_a_field_of_view_that_the_calibration_does_not_tell_is_that_of_the_image
     np.testing.assert_allclose(results["told"], results["rig"], atol=1e-2)
     run("inspect", f"calibration={folder}/wide.yaml", f"images={folder}/{{camera}}/{{frame}}.png", "level=3")
     assert "cam3 is dark beyond 95°" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.slow
+def test_a_robots_recording_is_as_good_as_the_clean_one(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Kalibr's camchain tells no field of view, its world has z up, and cameras trigger 2 ms apart: one command."""
+    lens = convert(FisheyeCamera.from_field_of_view((160, 160), math.radians(220)), "kannala_brandt").camera
+    rig = CameraRig([lens] * 4, ring_rig(4, radius=0.2).world_from_camera)
+    scene = make_scene("room", seed=10_100_005)
+    images = render_rig(scene, rig, 2)
+    write_capture(tmp_path / "clean", rig, images)
+    robot = placed(rig, torch.linalg.inv(upright_turn("z", rig.world_from_camera)))
+    save_rig(robot, tmp_path / "camchain.yaml", "kalibr")
+    for place, image in enumerate(images.values()):
+        write_image(tmp_path / f"robot/cam{place}/{1_700_000_000_000_000_000 + 2_000_000 * place}.png", image)
+    words = {
+        "clean": (f"calibration={tmp_path}/clean/rig.yaml",),
+        "robot": (f"calibration={tmp_path}/camchain.yaml", "up=z"),
+    }
+    errors = {}
+    for name, own in words.items():
+        run(
+            "predict",
+            *(*own, f"images={tmp_path}/{name}/{{camera}}/{{frame}}.png", f"output=out/{name}"),
+            *("level=5", "min_depth=0.55", "outputs=[npz]", "height=32", "device=cpu"),
+        )
+        printed = " ".join(capsys.readouterr().out.split())
+        assert ("cam3 is dark beyond 1" in printed) == (name == "robot")
+        assert "mean down" not in printed
+        (file,) = (tmp_path / "out" / name).glob("*.npz")
+        with np.load(file) as arrays:
+            directions = torch.from_numpy(arrays["directions"])
+            inverse_depth = 1 / torch.from_numpy(arrays["depth"])
+        truth = 1 / ray_depth(scene, rig.center, directions)
+        errors[name] = float((inverse_depth - truth).abs().mean())
+    assert errors["robot"] < 1.03 * errors["clean"]
 
 
 def test_every_frame_gets_picture_points_and_arrays(

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from sphericalvision.cameras import (
     CameraRig,
@@ -22,6 +23,8 @@ from sphericalvision.cameras import (
     save_camera,
     save_rig,
 )
+from sphericalvision.cameras.robot_frame import OPTICAL_FROM_ROS
+from sphericalvision.cameras.trajectory import upright_turn
 from sphericalvision.capture import Predictor
 from sphericalvision.capture.alignment import RigTurns
 from sphericalvision.capture.sources.frames import Selection
@@ -83,6 +86,32 @@ def of_drive(drive: Path) -> list[str]:
         f"poses={drive}/poses.txt",
         *("output=out", "outputs=[npz]", "height=16", "device=cpu", *COARSE),
     ]
+
+
+def test_poses_of_a_robots_frame_are_those_of_its_rig(run: Run, drive: Path, tmp_path: Path) -> None:
+    """Poses of ``base_link`` in a world whose z is up, and the rig in it: the same depth, points in that world."""
+    trajectory = read_trajectory(drive / "poses.txt")
+    optical_from_world = upright_turn("z", torch.eye(4)[None]).double()
+    base_from_rig = torch.linalg.inv(OPTICAL_FROM_ROS).double()
+    base_from_rig[:3, 3] = torch.tensor([0.3, 0.0, 1.2])
+    np.savetxt(tmp_path / "base.txt", base_from_rig[:3].reshape(1, 12))
+    rigs = torch.linalg.inv(optical_from_world) @ trajectory.world_from_camera.double()
+    lines = []
+    for name, pose in zip(trajectory.names, rigs @ torch.linalg.inv(base_from_rig), strict=True):
+        turn = Rotation.from_matrix(pose[:3, :3].numpy()).as_quat()
+        lines.append(" ".join(map(str, (name, *pose[:3, 3].tolist(), *turn))))
+    (tmp_path / "robot.txt").write_text("\n".join(lines))
+    run("predict", *of_drive(drive), "output=clean", "outputs=[npz,cloud]")
+    words = [word for word in of_drive(drive) if not word.startswith("poses=")]
+    run("predict", *words, f"poses={tmp_path}/robot.txt", f"frame={tmp_path}/base.txt", "outputs=[npz,cloud]")
+    written = sorted(path.name for path in (tmp_path / "clean").glob("*.npz"))
+    assert written == sorted(path.name for path in (tmp_path / "out").glob("*.npz")) != []
+    for name in written:
+        indices = [np.load(tmp_path / folder / name)["index"] for folder in ("clean", "out")]
+        np.testing.assert_allclose(*indices, atol=1e-2)
+        ply = name.replace("depth.npz", "points.ply")
+        clean, robot = (trimesh.load(tmp_path / folder / ply).vertices for folder in ("clean", "out"))
+        np.testing.assert_allclose(robot, clean @ optical_from_world[:3, :3].numpy(), atol=1e-2)
 
 
 @pytest.mark.parametrize("calibration", ["equirectangular", "camera.yaml", "rig.yaml"])

@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import io
+import json
 import re
 import sys
 from pathlib import Path
@@ -27,6 +28,12 @@ from mkdocs.utils import get_relative_url
 
 QUALITY = 90
 """Of pictures in pages, as WebP files."""
+
+GENERATED = ("api/", "recipes/configuration")
+"""Pages whose code is in no search."""
+BEGINNING = 240
+"""Letters of an entry of the API that are searched: what it is for."""
+NUMBER = r"[-−+±]?[\d.,()%–×]+"
 
 
 def on_config(config: object) -> None:
@@ -111,3 +118,31 @@ def on_post_page(output: str, page: Any, config: Any) -> str:
         file,
         output,
     )
+
+
+@event_priority(-50)  # after the search has written it, before it becomes a script
+def on_post_build(config: Any, **_: object) -> None:
+    """The search's index without what nobody searches, as each page loads it."""
+    path = Path(config["site_dir"]) / "search" / "search_index.json"
+    index = json.loads(path.read_text())
+    for entry in index["docs"]:
+        entry["text"] = searchable(entry["text"], entry["location"])
+    path.write_text(json.dumps(index, separators=(",", ":"), ensure_ascii=False))
+
+
+def searchable(text: str, location: str) -> str:
+    """An entry's text: no markup, no rows of numbers; of generated pages and of lists of files its beginning."""
+    if location.startswith(GENERATED):
+        text = re.sub(r"<pre>.*?</pre>", " ", text, flags=re.DOTALL)
+    text = " ".join(re.sub(r"<[^>]*>", " ", text).split())
+    text = re.sub(rf"(?<!\S){NUMBER}(?: {NUMBER})+(?!\S)", " ", text)
+    return text[:BEGINNING] if location.startswith("api/") else text
+
+
+def on_post_template(output: str, template_name: str, **_: object) -> str:
+    """The page of what was not found opens from disk, too: its addresses begin in its own folder."""
+    if template_name != "404.html":
+        return output
+    return re.sub(
+        r'((?:href|src)="|"(?:base|search)": ")/(?=[\w.])', r"\1", output
+    ).replace('"base": "/"', '"base": "."')

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -63,6 +64,18 @@ def test_corners_are_where_they_were_rendered(
         misses = torch.minimum(misses, (pixels - truth.pixels.flip(0)).norm(dim=-1))
     assert misses.median() < 0.125
     assert (misses < 0.5).double().mean() >= 0.8
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_a_tag_is_read_with_three_wrong_bits_whichever_way_it_stands(turns: int) -> None:
+    """As many as are corrected: no other bit may be looked up beside its cell."""
+    tag, side = 5, 20
+    bits = np.zeros((10, 10), np.uint8)
+    bits[2:8, 2:8] = GRID._tags.getBitsFromByteList(GRID._tags.bytesList[tag : tag + 1], 6)
+    bits[[2, 4, 5], [5, 2, 7]] ^= 1
+    picture = np.pad(np.kron(np.rot90(bits, turns), np.full((side, side), 255, np.uint8)), side)
+    quad = side + 10 * side * np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) - 0.5
+    assert GRID._decoded(picture, quad) == (tag, turns)
 
 
 @pytest.mark.parametrize("board", [GRID, MARKERS, Checkerboard(7, 5, 0.05)])

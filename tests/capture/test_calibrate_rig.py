@@ -15,7 +15,7 @@ from sphericalvision.capture import calibrate_rig
 from sphericalvision.capture.calibrating.calibrate import _poses
 from sphericalvision.capture.calibrating.refine import FEWEST, _Bundle, refine_rig
 from sphericalvision.core import ArgumentError
-from sphericalvision.geometry import transform_from_axis_angle, transform_points
+from sphericalvision.geometry import angle_from_axis, transform_from_axis_angle, transform_points
 
 SIZE = (240, 240)
 LENS = FisheyeCamera.from_field_of_view(SIZE, 2.0, dtype=torch.float64)
@@ -101,6 +101,10 @@ def test_corners_that_are_wrong_are_left_out() -> None:
     assert result.rms_error < 0.1
     assert (result.residuals[0, 1, :3] == 0).all()
     assert_poses(result.rig, rig)
+    seen[0, 1, :3] = False
+    for place, camera in enumerate(result.rig.cameras.values()):  # a lens ends 5 % beyond what was seen
+        farthest = angle_from_axis(LENS.unproject(pixels[:, place][seen[:, place]]).directions).max()
+        torch.testing.assert_close(camera.max_angle.double(), 1.05 * farthest, rtol=1e-3, atol=0)
 
 
 @pytest.mark.parametrize("shift", [[30.0, 0.0], [5.0, 5.0], [-20.0, 30.0]])

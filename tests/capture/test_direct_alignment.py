@@ -11,6 +11,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import align_rig_direct
+from sphericalvision.capture.calibrating import direct_alignment
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.icosphere import icosphere_vertices
@@ -74,6 +75,19 @@ def test_depth_may_be_off(rig: CameraRig, room: tuple[dict[str, Tensor], Tensor]
         for factor in (1.0, 1.1, 0.9)
     ]
     assert max(apart(turned[0], other) for other in turned[1:]) < 0.1
+
+
+def test_what_is_nearer_than_the_cameras_can_see_is_as_near_as_they_can(
+    rig: CameraRig, room: tuple[dict[str, Tensor], Tensor]
+) -> None:
+    images, truth = room
+    nearest = direct_alignment._NEAREST / float(rig.radius)
+    near = torch.arange(len(truth)) % 7 == 0
+    limited, beyond = (
+        align_rig_direct(rig, images, DIRECTIONS, truth.where(~near, value), iterations=1).turns
+        for value in (nearest, 50 * nearest)
+    )
+    torch.testing.assert_close(limited, beyond, rtol=0, atol=1e-6)
 
 
 def test_several_frames_are_one_problem(rig: CameraRig) -> None:

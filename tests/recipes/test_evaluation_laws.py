@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measures and tables of comparisons against the same numbers by another way."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from sphericalvision.cameras import CameraRig, EquirectangularCamera
+from sphericalvision.data.scanned.helvipad import HELVIPAD_LATITUDES
+from sphericalvision.icosphere import Icosphere
+from sphericalvision.models import ConstantDepth
+from sphericalvision.recipes.evaluation import methods
+from sphericalvision.recipes.evaluation.loop import errors_of_frame
+from sphericalvision.recipes.evaluation.methods import SCALE, Answer, make_method
+from sphericalvision.recipes.evaluation.records import Record
+from sphericalvision.recipes.evaluation.strips import StripErrors, table_with_published
+from sphericalvision.recipes.evaluation.tables import Cell, Table, error_table
+from sphericalvision.recipes.evaluation.tracks import TRACKS, Track
+from sphericalvision.sphere import Equirectangular
+from sphericalvision.sweep import DepthEstimate, index_from_inverse_depth
+
+LEVEL, STRIP = 4, (6, 16)
+
+
+def distance_to_wall(
+    origin: torch.Tensor, rays: torch.Tensor, center: torch.Tensor, radius: float
+) -> torch.Tensor:
+    """From a place within a hollow ball to its wall, along rays ``(V, 3)``."""
+    along = rays @ (center - origin)
+    return along + (radius**2 - (center - origin).square().sum() + along.square()).sqrt()
+
+
+def test_errors_along_the_rays_of_a_camera_that_stands_off_the_centre() -> None:
+    """Two frames of hollow balls; a tenth more is true than is estimated, and rows lack either map."""
+    bottom, top = torch.tensor([0.1, 0.25, -0.05]), torch.tensor([0.3, -0.15, 0.15])
+    poses = torch.eye(4).repeat(2, 2, 1, 1)
+    poses[:, 0, :3, 3], poses[:, 1, :3, 3] = bottom, top
+    poses[1, :, :3, 3] += torch.tensor([5.0, 0.0, 0.0])  # errors do not depend on where the rig is
+    rig = CameraRig([EquirectangularCamera((16, 32))] * 2, poses)
+    walls = [(torch.tensor([0.5, 0.1, 0.4]), 3.0), (torch.tensor([-0.3, 0.4, 0.2]), 4.0)]
+    net, center = ConstantDepth(LEVEL + 2, *SCALE), (bottom + top) / 2
+    around = torch.stack([distance_to_wall(torch.zeros(3), net.grid.directions, *wall) for wall in walls])
+    index = index_from_inverse_depth(around.reciprocal(), *SCALE)
+    answer = Answer(
+        net, DepthEstimate(index, torch.ones_like(index), torch.ones_like(index, dtype=torch.bool))
+    )
+    rays = Equirectangular(*STRIP, latitudes=HELVIPAD_LATITUDES).directions
+    exact = torch.stack([distance_to_wall(bottom - center, rays.flatten(0, 1), *wall) for wall in walls])
+    exact = exact.unflatten(-1, STRIP)
+    depth, augmented = 1.1 * exact, 1.1 * exact
+    depth[:, 0], augmented[:, 0, 3:9], augmented[:, 5] = 0, 0, 0
+    measure = StripErrors(SCALE, LEVEL)
+    vertices = Icosphere(LEVEL).vertices
+    assert torch.equal(measure.directions, vertices)
+    batch: dict[str, Any] = {
+        "rig": rig, "strip_depth": depth, "strip_depth_augmented": augmented,
+        "inverse_depth": around.reciprocal() / 2, "valid": torch.ones(around.shape, dtype=torch.bool),
+    }  # fmt: skip
+    errors = measure.errors(answer, measure.truth(batch))
+    across, down = (0.191 * part for part in (rays[1:, :, ::2].norm(dim=-1), rays[1:, :, 1]))
+
+    def degrees(metres: torch.Tensor) -> torch.Tensor:
+        return torch.atan2(across, metres + down).rad2deg()
+
+    for frame in range(2):
+        numbers = errors_of_frame(errors, frame)
+        true, near = depth[frame, 1:], exact[frame, 1:]
+        assert numbers["points"]["kept"] == 100
+        assert numbers["errors"]["MAE"] == pytest.approx(
+            float(100 / 16 * (index[frame] / 2).mean()), rel=1e-3
+        )
+        assert numbers["depth"]["MARE"] == pytest.approx(0.1 / 1.1, rel=0.02)
+        assert numbers["depth"]["MAE"] == pytest.approx(float((true - near).mean()), rel=0.02)
+        assert numbers["depth"]["RMSE"] == pytest.approx(
+            float((true - near).square().mean().sqrt()), rel=0.02
+        )
+        apart = degrees(true) - degrees(near)
+        assert numbers["disparity"]["MAE"] == pytest.approx(float(apart.abs().mean()), rel=0.02)
+        assert numbers["disparity"]["MARE"] == pytest.approx(
+            float((apart / degrees(true)).abs().mean()), rel=0.02
+        )
+        ends = 0.1 * (exact[frame, :5, 0] - exact[frame, :5, -1])
+        assert numbers["depth"]["LRCE"] == pytest.approx(float(ends.abs().mean()), rel=0.05)
+
+
+def test_what_was_published_stands_below_what_was_measured() -> None:
+    record = Record()
+    errors = {"depth": {"MAE": 1.5, "RMSE": 2.5, "MARE": 0.125, "LRCE": 0.75}}
+    record.add("a", {**errors, "disparity": {"MAE": 0.25, "RMSE": 0.5, "MARE": None}})
+    table = table_with_published({"net": record}, {"theirs": (1.0, 2.0, 3.0, 4.0)})
+    assert table.markdown() == (
+        "| | MAE (m) | RMSE (m) | MARE (1) | LRCE (m) | MAE (°) | RMSE (°) | MARE (°/°) |\n"
+        "|---|---:|---:|---:|---:|---:|---:|---:|\n"
+        "| net | 1.500 | 2.500 | 0.125 | 0.750 | 0.250 | 0.500 | – |\n"
+        "| theirs * | 1.000 | 2.000 | 3.000 | 4.000 | – | – | – |\n\n"
+        "of depth, and of disparity (°); * published, of the whole test set and older maps of depth\n"
+    )
+
+
+TABLE = Table(
+    "50 % of\\N",
+    ("", "a_b", "c", "d"),
+    [
+        [["x & y~^", Cell(1.25, 0.5), 2.0, "t"]],
+        [["<z> # {$}", None, 1e-7, None], ["°", Cell(3, None, 0, (2, 4), True), 0.5, "–"]],
+    ],
+)
+
+
+def test_a_table_in_all_formats(tmp_path: Path) -> None:
+    """The same cells; what is special to a format stands as the format has it."""
+    assert TABLE.markdown() == (
+        "| | a_b | c | d |\n|---|---:|---:|---:|\n| x & y~^ | 1.25 ± 0.50 | 2.00 | t |\n| <z> # {$} | – | 0.00 | – |\n"
+        "| ° | **3** (2–4) | 0.50 | – |\n\n50 % of\\N\n"
+    )
+    assert list(csv.reader(io.StringIO(TABLE.csv()))) == [
+        ["name", "a_b", "a_b sd", "c", "d"], ["x & y~^", "1.25", "0.5", "2", "t"], ["<z> # {$}", "", "", "1e-07", ""],
+        ["°", "3", "", "0.5", "–"],
+    ]  # fmt: skip
+    assert TABLE.latex().splitlines() == [
+        "% 50 % of\\N", r"\begin{tabular}{lrrr}", r"\toprule", r" & a\_b & c & d \\", r"\midrule",
+        r"x \& y\textasciitilde{}\textasciicircum{} & 1.25 $\pm$ 0.50 & 2.00 & t \\",
+        r"$<$z$>$ \# \{\$\} & -- & 0.00 & -- \\",
+        r"$^\circ$ & \textbf{3} (2--4) & 0.50 & -- \\", r"\bottomrule", r"\end{tabular}",
+    ]  # fmt: skip
+    assert (
+        r"\textbackslash{}" in TABLE._replace(columns=("\\", "a", "b", "c"), title="").latex().splitlines()[2]
+    )
+    assert TABLE._replace(labels=2).markdown().splitlines()[1] == "|---|---|---:|---:|"
+    assert TABLE._replace(labels=2).latex().splitlines()[1] == r"\begin{tabular}{llrr}"
+    assert TABLE.html().splitlines() == [
+        "<p>50 % of\\N</p>", "<table><tr><th></th><th>a_b</th><th>c</th><th>d</th></tr>",
+        "<tr><td>x &amp; y~^</td><td>1.25 ± 0.50</td><td>2.00</td><td>t</td></tr>",
+        "<tr><td>&lt;z&gt; # {$}</td><td>–</td><td>0.00</td><td>–</td></tr>",
+        "<tr><td>°</td><td>**3** (2–4)</td><td>0.50</td><td>–</td></tr></table>",
+    ]  # fmt: skip
+    TABLE.save(tmp_path / "a.b", ".md", ".csv", ".tex")
+    written = {path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()}
+    assert written == {"a.b.md": TABLE.markdown(), "a.b.csv": TABLE.csv(), "a.b.tex": TABLE.latex()}
+    assert error_table("", {"a": {"x": 1.0, "y": 2.0}, "b": {"y": 3.0, "x": 4.0}}).texts() == [
+        ["a", "1.00", "2.00"], ["b", "4.00", "3.00"],
+    ]  # fmt: skip
+
+
+def test_rigs_of_tracks_are_what_their_tracks_say() -> None:
+    """Cameras, distances from the centre, sizes and tilts, written out; random rigs are those of their seeds."""
+    for track in TRACKS.values():
+        rig = track.make_rig(track.seed(1), 64)
+        assert track.seed(1) == 10_000_001
+        if track.rig == "random":
+            assert rig.names == track.make_rig(track.seed(1), 64).names
+            assert not torch.equal(rig.positions[:2], track.make_rig(track.seed(2), 64).positions[:2])
+            continue
+        size = (56, 112) if track.rig == "panoramas" else (64, 64)
+        assert {camera.image_size for camera in rig.cameras.values()} == {size}
+        if track.rig == "corners":
+            continue
+        assert len(rig) == track.num_cameras
+        torch.testing.assert_close(
+            (rig.positions - rig.center).norm(dim=-1), torch.full((len(rig),), track.radius)
+        )
+        down = torch.full((len(rig),), math.sin(math.radians(track.tilt_deg)))
+        torch.testing.assert_close(rig.axes[:, 1], down, atol=1e-6, rtol=0)
+        further = Track("a", "a", tilt_deg=3.0).make_rig(1, 64, tilt_deg=10.0).axes[:, 1]
+        torch.testing.assert_close(further, torch.full((4,), math.sin(math.radians(10))), atol=1e-6, rtol=0)
+
+
+def test_words_are_the_methods_that_they_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A network without training has the scale and the level; the constant is kept, and made anew when damaged."""
+    for word in ("winner-takes-all", "semi-global-sweep", "rectified-sgbm"):
+        method = make_method(word, 3, SCALE._replace(num_hypotheses=8))
+        assert (method.name, method.label, method.seed) == (word, word, None)
+        assert (method.net.num_hypotheses, method.net.min_depth, method.net.training) == (
+            8,
+            SCALE.min_depth,
+            False,
+        )
+    monkeypatch.setattr(methods, "TRAINING_SCENES", 3)
+    path = tmp_path / "constant-2-3.safetensors"
+    made = make_method("constant", 2, folder=tmp_path)
+    assert made.name == "constant"
+    assert make_method("constant", 2, folder=tmp_path).identity == made.identity
+    path.write_bytes(b"damaged")
+    assert make_method("constant", 2, folder=tmp_path).identity == made.identity
+    assert path.stat().st_size > 100
+    assert make_method(str(path), 2).name == "constant-2-3"

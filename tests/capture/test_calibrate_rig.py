@@ -104,7 +104,7 @@ def test_corners_that_are_wrong_are_left_out() -> None:
     seen[0, 1, :3] = False
     for place, camera in enumerate(result.rig.cameras.values()):  # a lens ends 5 % beyond what was seen
         farthest = angle_from_axis(LENS.unproject(pixels[:, place][seen[:, place]]).directions).max()
-        torch.testing.assert_close(camera.max_angle.double(), 1.05 * farthest, rtol=1e-3, atol=0)
+        torch.testing.assert_close(camera.max_angle.double(), 1.05 * farthest, rtol=5e-3, atol=0)
 
 
 @pytest.mark.parametrize("shift", [[30.0, 0.0], [5.0, 5.0], [-20.0, 30.0]])

@@ -212,7 +212,7 @@ CAMERAS = [
     ),
     CameraCase("pinhole", lambda s: PinholeCamera([60.0 * s, 61.0], CENTER, SIZE), traced=True),
     CameraCase(
-        "pinhole, 80°, skew",
+        "pinhole, 80 degrees, skew",
         lambda s: PinholeCamera([60.0 * s, 61.0], CENTER, SIZE, math.radians(40), -0.4 * s),
     ),
 ]

@@ -178,7 +178,7 @@ def test_special_characters_in_folders_are_literal(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "names",
     [["cam[0]", "cam[1]", "cam*"], ["cam¹", "cam²", "cam³"], ["a b", "it's", "{x}"], ["-1", "..", "?"]],
-    ids=str,
+    ids=["brackets", "superscripts", "quotes", "dots"],
 )
 def test_special_characters_in_names_are_literal(tmp_path: Path, names: list[str]) -> None:
     """Of cameras and of frames, which come after numbers."""

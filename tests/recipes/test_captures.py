@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from itertools import permutations
 from pathlib import Path
@@ -188,6 +189,15 @@ def test_special_characters_in_names_are_literal(tmp_path: Path, names: list[str
     assert sorted(capture, key=frames.index) == frames
     assert list(capture).index("2") < list(capture).index("10")
     assert all(files[name].parent.name == f"{name}_" for files in capture.values() for name in names)
+
+
+@pytest.mark.parametrize("frame", [b"\xff1", b"a\nb", b"a\r", b"\xed\xa0\x80"], ids=ascii)
+def test_names_that_no_table_holds_are_refused(tmp_path: Path, frame: bytes) -> None:
+    """A line of a table is a frame, and tables are UTF-8."""
+    root = touch(tmp_path, "1/1.png", "1/" + os.fsdecode(frame) + ".png")
+    with pytest.raises(ArgumentError, match="expected a name in UTF-8 without line ends; rename it") as error:
+        find_capture(root + "/{camera}/{frame}.png", ["1"])
+    assert str(error.value).isascii()
 
 
 def test_relative_patterns_start_in_the_working_folder(

@@ -426,7 +426,14 @@ def _files(pattern: str, label: str, others: Container[Path] = ()) -> dict[str, 
             "."
         )  # ._0001.png of macOS
         if match and not is_hidden and file.is_file() and file.resolve() not in others:
-            files[match.groupdict().get("frame") or ""] = file
+            frame = match.groupdict().get("frame") or ""
+            if re.search(
+                "[\0-\x1f\ud800-\udfff]", frame
+            ):  # results are listed by name, a line each, in UTF-8
+                raise ArgumentError(
+                    f"images: {str(file)!a}: expected a name in UTF-8 without line ends; rename it"
+                )
+            files[frame] = file
     return files
 
 

@@ -108,7 +108,7 @@ def test_corners_that_are_wrong_are_left_out() -> None:
 
 
 @pytest.mark.parametrize("shift", [[30.0, 0.0], [5.0, 5.0], [-20.0, 30.0]])
-@pytest.mark.parametrize(("cameras", "astray"), [(2, [(0, 1)]), (3, [(0, 1), (3, 2), (5, 1)])])
+@pytest.mark.parametrize(("cameras", "astray"), [(2, [(0, 1)]), (3, [(0, 1), (3, 2), (5, 1), (6, 0)])])
 def test_a_board_that_moved_between_two_pictures_is_left_out(
     cameras: int, astray: list[tuple[int, int]], shift: list[float]
 ) -> None:

@@ -77,6 +77,34 @@ for size in ((2, 3, 5, 9), (2, 3, 4, 9, 5), (1, 2, 1, 2, 3)):
     expected, result = (torch.autograd.grad(padded, images, gradient)[0] for padded in (plain, kernel))
     torch.testing.assert_close(result, expected)
 """
+COMPILED = """
+from itertools import product
+
+import triton
+from triton.backends.compiler import GPUTarget
+from triton.compiler import ASTSource
+
+from sphericalvision.crown.hexconv_triton import _kernel
+
+# As an argument that is 1 is compiled, which strides of values and of what is added are in turn.
+for one, other in product(("value_vertex", "value_channel"), ("residual_vertex", "residual_channel")):
+    constants = {"CHANNELS": 16, "VERTICES": 32, "OUTPUTS": 16, "INPUTS": 16, "PRECISION": "tf32x3", one: 1, other: 1}
+    constants |= dict.fromkeys(("RECTIFY", "BIAS", "RESIDUAL"), True)
+    kinds = dict.fromkeys(_kernel.arg_names, "i32")
+    kinds |= dict.fromkeys(("values", "weight", "bias", "residual", "result"), "*fp32")
+    kinds |= dict.fromkeys(("taps", "around"), "*i64") | dict.fromkeys(constants, "constexpr")
+    source = ASTSource(fn=_kernel, signature=kinds, constexprs=constants)
+    assert triton.compile(source, target=GPUTarget("cuda", 90, 32)).asm["cubin"]
+"""
+
+
+@pytest.mark.slow
+def test_a_kernel_is_compiled_without_a_gpu() -> None:
+    """The interpreter takes what the compiler does not."""
+    pytest.importorskip(
+        "triton", reason="kernels need Triton, which torch for CUDA brings along: pip install triton"
+    )
+    python("-c", COMPILED)
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from torch import Tensor
 from torch.nn.modules.batchnorm import _BatchNorm
 
-from sphericalvision.core import ShapeError, check_choice, check_dtype, in_one_graph
+from sphericalvision.core import ShapeError, check_choice, check_dtype, constant_table, in_one_graph
 from sphericalvision.crown.fast import normalize
 from sphericalvision.crown.layout import Crown, check_crown, crown_map, crown_relu
 
@@ -20,6 +20,8 @@ class _CrownBatchNorm(_BatchNorm):
 
     spatial_dims: int
     per_sample = False
+    groups = 1
+    """In how many groups, one after another, samples come to training, of which each has statistics of its own."""
 
     def _check_input_dim(self, input: Tensor) -> None:
         """Accept all: the crown is checked as a whole in ``forward``."""
@@ -45,12 +47,46 @@ class _CrownBatchNorm(_BatchNorm):
         if self.is_affine:
             normalized = crown_map(lambda r: self._layer(r.flatten(0, 1).flatten(-2)).view(r.shape), crown)
             return crown_relu(normalized) if relu else normalized
+        if self.groups > 1:
+            return self._by_groups(crown, relu)
         # Both kinds of rectangle have as many places: with the places in one dimension they are one batch.
         col, row = (rectangles.flatten(0, 1).flatten(-2) for rectangles in crown)
         both = self._layer(torch.cat((col, row)))
         both = both.relu() if relu else both
         col, row = both.chunk(2)  # unlike unbind, its gradient keeps the channels innermost in memory
         return Crown(col.view(crown.col.shape), row.view(crown.row.shape))
+
+    def _by_groups(self, crown: Crown, relu: bool) -> Crown:
+        """Normalise groups by statistics of their own, all at once: channels of all groups are those of one batch.
+
+        Running statistics take a step for each group, as if one came after the other.
+        """
+        assert self.running_mean is not None
+        assert self.running_var is not None
+        assert self.num_batches_tracked is not None
+        assert self.momentum is not None
+        number = self.groups
+        parts = [
+            rectangles.flatten(3).unflatten(0, (number, -1)).permute(1, 2, 0, 3, 4) for rectangles in crown
+        ]
+        together = torch.cat(parts, 1)  # (B, 10, groups, C, places)
+        mean, variance = (self.running_mean.new_zeros(number * self.num_features) for _ in range(2))
+        weight, bias = (None if x is None else x.repeat(number) for x in (self.weight, self.bias))
+        # A step all the way makes running statistics of nothing those of the batch.
+        flat = F.batch_norm(
+            together.flatten(2, 3).flatten(0, 1), mean, variance, weight, bias, True, 1.0, self.eps
+        )
+        flat = flat.relu() if relu else flat
+        left, steps = (1 - self.momentum) ** number, _steps(number, self.momentum, mean.dtype, mean.device)
+        with torch.no_grad():
+            for running, batch in ((self.running_mean, mean), (self.running_var, variance)):
+                taken = torch.addmv(running, batch.view(number, -1).mT, steps, beta=left)
+                running.copy_(taken)
+            self.num_batches_tracked.add_(number)
+        normalized = flat.view(together.shape).permute(2, 0, 1, 3, 4).flatten(0, 1)
+        return Crown(
+            *(x.unflatten(-1, like.shape[3:]) for x, like in zip(normalized.split(5, 1), crown, strict=True))
+        )
 
     def _layer(self, values: Tensor) -> Tensor:
         """The layer of torch."""
@@ -71,6 +107,13 @@ class _CrownBatchNorm(_BatchNorm):
         shift = self.running_mean * scale
         shift = -shift if self.bias is None else self.bias - shift
         return weight * scale[:, None, None], shift
+
+
+@constant_table
+def _steps(number: int, momentum: float, dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Weights of groups in running statistics that take a step for each, the last one the largest."""
+    ages = torch.arange(number - 1, -1, -1, device=device)
+    return (momentum * (1 - momentum) ** ages.double()).to(dtype)
 
 
 class CrownBatchNorm2d(_CrownBatchNorm):

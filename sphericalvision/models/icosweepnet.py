@@ -10,10 +10,11 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, in_one_graph
 from sphericalvision.crown import (
     Crown,
     CrownAvgPool2d,
+    CrownBatchNorm2d,
     CrownBlock3d,
     CrownConv2d,
     CrownConv3d,
@@ -27,7 +28,7 @@ from sphericalvision.crown import (
 )
 from sphericalvision.crown.block import convolve_twice
 from sphericalvision.crown.layout import crown_map
-from sphericalvision.crown.recompute import RecomputedModule, recompute_if_large
+from sphericalvision.crown.recompute import RecomputedModule, recompute_if_large, recomputes
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.models.depth_network import DepthNetwork
@@ -246,7 +247,21 @@ def camera_by_camera(
         >>> camera_by_camera(nn.Conv1d(3, 5, 1), torch.zeros(2, 4, 3, 42)).shape
         torch.Size([2, 4, 5, 42])
     """
-    if any(map(_takes_statistics_of_the_batch, extractor.modules())):
+    norms = [part for part in extractor.modules() if _takes_statistics_of_the_batch(part)]
+    grouped = [norm for norm in norms if isinstance(norm, CrownBatchNorm2d) and norm.momentum is not None]
+    # What is recomputed would be by other groups; and compilers make one graph of it anyway.
+    at_once = in_one_graph(images.device) and not torch.compiler.is_compiling() and not recomputes(extractor)
+    if grouped and len(grouped) == len(norms) and at_once:
+        number = images.shape[1]
+        try:
+            for norm in grouped:
+                norm.groups = number
+            features: Tensor = extractor(images.transpose(0, 1).flatten(0, 1))
+        finally:
+            for norm in grouped:
+                norm.groups = 1
+        return features.unflatten(0, (number, -1)).transpose(0, 1)
+    if norms:
         return torch.stack([extractor(camera) for camera in images.unbind(1)], 1)
     return extractor(images.flatten(0, 1)).unflatten(0, images.shape[:2])  # type: ignore[no-any-return]
 

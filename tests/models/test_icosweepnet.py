@@ -16,7 +16,8 @@ from sphericalvision.crown import Crown, from_crown, to_crown
 from sphericalvision.crown.fast import door
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import IcoSweepNet
-from sphericalvision.models.icosweepnet import CostRegularizer
+from sphericalvision.models.icosweepnet import CostRegularizer, camera_by_camera
+from tests.models.test_one_graph import Operators
 
 LEVEL, IMAGE_VERTICES, DEPTH_VERTICES = 3, 642, 42
 
@@ -75,6 +76,21 @@ def test_training_takes_statistics_one_camera_at_a_time(generator: torch.Generat
     assert expected["entry.norm.num_batches_tracked"] == 3
     for name, value in net.features.state_dict().items():
         torch.testing.assert_close(value, expected[name])
+
+
+def test_statistics_of_cameras_at_once_are_those_of_one_at_a_time(generator: torch.Generator) -> None:
+    """Features, running statistics and gradients, by a quarter of the operators."""
+    batch, results, counts = images(generator), [], []
+    for way in ("plain", "graph"):
+        net = small_net().train()
+        with kernels(way), Operators() as counted:
+            features = camera_by_camera(net.features, batch)
+        (features.square() * torch.arange(features.shape[-1])).mean().backward()
+        gradients = [parameter.grad for parameter in net.features.parameters()]
+        results.append((features.detach(), net.features.state_dict(), gradients))
+        counts.append(counted.launches)
+    torch.testing.assert_close(results[1], results[0], rtol=1e-3, atol=1e-4)
+    assert counts[1] < counts[0] / 2
 
 
 @torch.no_grad()
@@ -140,7 +156,7 @@ def test_on_other_devices_training_computes_nothing_twice() -> None:
     net.features.fine.register_forward_hook(lambda *_: calls.append(1))
     with kernels("require"):
         net(torch.zeros(1, 4, 3, IMAGE_VERTICES, device="meta"), ring_rig(4).to("meta")).sum().backward()
-    assert len(calls) == 4  # one a camera
+    assert len(calls) == 1  # all cameras at once
 
 
 def test_recomputing_reaches_every_block_and_can_be_taken_back() -> None:

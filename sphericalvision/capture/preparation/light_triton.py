@@ -54,7 +54,7 @@ def _median(values, result, number: tl.constexpr, BLOCK: tl.constexpr):  # type:
             above += (tl.sum(smaller_by_two, axis=0) <= rank).to(tl.int32)
             above += (tl.sum(smaller_by_three, axis=0) <= rank).to(tl.int32)
         found += above * step
-    median = found.to(tl.float32, bitcast=True)
+    median = found.to(tl.float32, bitcast=True)  # type: ignore[attr-defined]
     tl.store(result + tl.program_id(0), tl.where(count > 0, median, float("nan")))
 
 

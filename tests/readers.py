@@ -26,8 +26,8 @@ from sphericalvision.cameras import (
     save_camera,
     save_rig,
 )
-from sphericalvision.data.omnistereo.files import read_min_depth
 from sphericalvision.data.omnistereo.ground_truth import read_ground_truth, write_ground_truth
+from sphericalvision.data.omnistereo.releases import read_min_depth
 from sphericalvision.io.images import read_image, read_mask, read_pages, write_mask
 from sphericalvision.models import (
     IcoSweepNet,

@@ -21,10 +21,10 @@ from sphericalvision.capture import calibrate_rig
 from sphericalvision.capture.calibrating.boards import Board, Charuco, Checkerboard, read_board
 from sphericalvision.capture.calibrating.refine import FEWEST, RefinedRig
 from sphericalvision.capture.sources.frames import Selection
+from sphericalvision.capture.sources.joined_views import rig_of_views, split_views
 from sphericalvision.capture.sources.opening import spread_evenly
 from sphericalvision.capture.sources.streams import count_streams
 from sphericalvision.capture.sources.videos import VIDEO_SUFFIXES, Videos
-from sphericalvision.capture.sources.views import rig_of_views, split_views
 from sphericalvision.core import ArgumentError, MissingFileError, check_choice
 from sphericalvision.geometry import angle_from_axis
 from sphericalvision.io.images import read_image

@@ -19,8 +19,8 @@ from sphericalvision.cameras import CameraRig, EquirectangularCamera
 from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.data import write_omnistereo
-from sphericalvision.data.omnistereo.files import RELEASES, Release
 from sphericalvision.data.omnistereo.ground_truth import read_ground_truth
+from sphericalvision.data.omnistereo.releases import RELEASES, Release
 from sphericalvision.io.files import write_yaml
 from sphericalvision.io.images import read_image
 from sphericalvision.recipes.app.cli import build, console, print_config

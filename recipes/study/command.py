@@ -30,8 +30,8 @@ from sphericalvision.recipes.evaluation.tables import save_report
 from sphericalvision.recipes.study.benchmark import compare
 from sphericalvision.recipes.study.models import methods_of, scale_of, study_models
 from sphericalvision.recipes.study.report import angle_plot, drawn_frame, study_tables
+from sphericalvision.recipes.study.tilted_views import view_frames, views
 from sphericalvision.recipes.study.training import Training, check_alike, train_all
-from sphericalvision.recipes.study.views import view_frames, views
 
 __all__ = ["StudyKeys", "run", "study"]
 

@@ -14,8 +14,8 @@ from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.models import ConstantDepth, DepthNetwork
 from sphericalvision.recipes.app.cli import choose_device
 from sphericalvision.recipes.evaluation.methods import Method, Scale, make_method
+from sphericalvision.recipes.study.tilted_views import training_depths
 from sphericalvision.recipes.study.training import CHANGES_NOTHING, Training, training_config, training_words
-from sphericalvision.recipes.study.views import training_depths
 from sphericalvision.recipes.training.run_folder import flat_settings
 
 __all__ = ["KINDS", "StudyModel", "methods_of", "scale_of", "study_models"]

@@ -20,7 +20,7 @@ from sphericalvision.recipes.evaluation.records import Record
 from sphericalvision.recipes.evaluation.results import Column, Results
 from sphericalvision.recipes.evaluation.tables import Table
 from sphericalvision.recipes.study.models import scale_of
-from sphericalvision.recipes.study.views import View
+from sphericalvision.recipes.study.tilted_views import View
 from sphericalvision.sphere.intake import unsigned
 from sphericalvision.viz.figure import figure_pixels
 from sphericalvision.viz.panorama import icosphere_to_panorama, rgb_panorama

@@ -27,8 +27,7 @@ from sphericalvision.models import (
     pretrained,
     save_weights,
 )
-from sphericalvision.models.weights import available_weights
-from sphericalvision.models.weights import files as weight_files
+from sphericalvision.models.weights import available_weights, weight_files
 from sphericalvision.models.weights.checkpoints import read_network
 
 Writer = Callable[..., Path]

@@ -25,8 +25,8 @@ from sphericalvision.capture.outputs import Outputs, Panoramas, Settings
 from sphericalvision.capture.preparation.preparation import Compensation
 from sphericalvision.capture.sources import streams
 from sphericalvision.capture.sources.frames import Selection
+from sphericalvision.capture.sources.joined_views import views_layout
 from sphericalvision.capture.sources.opening import open_source, rig_for_images
-from sphericalvision.capture.sources.views import views_layout
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.io.images import read_image, write_image
 from sphericalvision.models import SemiGlobalSweep

@@ -36,8 +36,8 @@ from sphericalvision.recipes.evaluation.results import Results
 from sphericalvision.recipes.evaluation.tables import Table, save_report
 from sphericalvision.recipes.study.models import study_models
 from sphericalvision.recipes.study.report import angle_plot, study_tables
+from sphericalvision.recipes.study.tilted_views import View, view_frames
 from sphericalvision.recipes.study.training import training_config, training_words
-from sphericalvision.recipes.study.views import View, view_frames
 from tests.recipes.tiny import Run, composed
 from tests.worlds import recorded_frames
 

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, Protocol
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.capture.sources.views import size_of_view, split_views
+from sphericalvision.capture.sources.joined_views import size_of_view, split_views
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
 from sphericalvision.io.images import read_image, read_image_size
 from sphericalvision.io.times import SAME_TIME, are_counts, nearest_in_time, seconds

@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.sources.frames import Frame, Selection
+from sphericalvision.capture.sources.joined_views import size_of_view, split_views
 from sphericalvision.capture.sources.streams import OF_360_CAMERAS, Stream, StreamCapture, count_streams
-from sphericalvision.capture.sources.views import size_of_view, split_views
 from sphericalvision.core import ArgumentError, FileFormatError
 
 __all__ = ["VIDEO_SUFFIXES", "Videos"]

@@ -12,7 +12,8 @@ from torch.utils.data import Dataset
 
 from sphericalvision.cameras import CameraRig, read_rig
 from sphericalvision.core import ArgumentError, MissingFileError, check_choice
-from sphericalvision.data.omnistereo.files import (
+from sphericalvision.data.omnistereo.ground_truth import read_ground_truth
+from sphericalvision.data.omnistereo.releases import (
     DESCRIBED_AT,
     check_scale,
     find_release,
@@ -20,7 +21,6 @@ from sphericalvision.data.omnistereo.files import (
     read_min_depth,
     split_frames,
 )
-from sphericalvision.data.omnistereo.ground_truth import read_ground_truth
 from sphericalvision.io.images import read_image
 from sphericalvision.sphere.intake import pixels_seen
 

@@ -25,8 +25,14 @@ from sphericalvision.cameras import (
 from sphericalvision.cameras.calibration.poses import axis_angle_from_rotation
 from sphericalvision.cameras.field_of_view import visible_angle
 from sphericalvision.core import ArgumentError, check_choice
-from sphericalvision.data.omnistereo.files import RELEASES, Release, check_scale, index_frames, read_min_depth
 from sphericalvision.data.omnistereo.ground_truth import write_ground_truth
+from sphericalvision.data.omnistereo.releases import (
+    RELEASES,
+    Release,
+    check_scale,
+    index_frames,
+    read_min_depth,
+)
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.files import write_bytes, write_yaml
 from sphericalvision.io.images import write_image

@@ -15,8 +15,8 @@ from torch import Tensor
 from sphericalvision.cameras import Camera, CameraRig, EquirectangularCamera, PinholeCamera, depth_from_z
 from sphericalvision.cameras.checks import check_image
 from sphericalvision.cameras.remapping.lookup import pixels_a_radian
+from sphericalvision.cameras.remapping.pinhole_views import checked_angles, rotation_from_yaw_pitch_roll
 from sphericalvision.cameras.remapping.rectify import RectifiedPair
-from sphericalvision.cameras.remapping.views import checked_angles, rotation_from_yaw_pitch_roll
 from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_tensor
 from sphericalvision.geometry import angle_from_axis
 from sphericalvision.geometry.directions import holds, normalize

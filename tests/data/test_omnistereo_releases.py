@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
-from sphericalvision.data.omnistereo.files import (
+from sphericalvision.data.omnistereo.releases import (
     RELEASES,
     check_scale,
     find_release,

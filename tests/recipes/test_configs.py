@@ -107,9 +107,9 @@ def learning_rates(config: DictConfig, steps: int) -> list[float]:
     optimizer = build(config.optimizer)([torch.nn.Parameter(torch.zeros(1))])
     scheduler = build(config.scheduler)(optimizer)
     rates = []
+    optimizer.step()  # before the scheduler's first one, as torch wants it; the rates do not depend on the others
     for _ in range(steps):
         rates.append(optimizer.param_groups[0]["lr"])
-        optimizer.step()
         scheduler.step()
     return rates
 

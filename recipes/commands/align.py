@@ -100,7 +100,7 @@ def _print(rig: CameraRig, result: RigTurns, frames: list[Mapping[str, Tensor]])
         what = "turn" if name in result.turned else "look" if doubtful else ""
         numbers = (
             f"{turn:.2f}",
-            f"{spread:.2f}",
+            f"{2 * spread:.2f}",
             f"{100 * shared:.0f} %",
             f"{exposure:.2f}",
             f"{resolution:.1f}",

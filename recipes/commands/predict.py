@@ -223,6 +223,12 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
         FileFormatError: images of some frames cannot be read; the others are done before that is told.
     """
     source = open_frames(config)
+    selection = config.capture.selection
+    names = source.names(selection)
+    many = "live" if names is None else f"{len(names)} frame(s)"
+    cameras = "cameras" if config.capture.poses is None else "images in a window"
+    radius = float(source.rig.radius)
+    console.print(f"{many}, {len(source.rig)} {cameras}, rig radius {radius:.3f} m", markup=False)
     still = source.source if isinstance(source, Moving) else source  # whose frames are made ready once
     if config.capture.masks == AUTO:
         still.rig = masked_by_itself(still, folder)
@@ -247,19 +253,11 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
     if not before:  # what it states is of other settings than those that come now
         (folder / RECORD).unlink(missing_ok=True)
     print_config(config, folder)
-    selection = config.capture.selection
-    names = source.names(selection)
     near = "found in the first frame" if predictor.min_depth is None else f"{predictor.min_depth:.3f} m"
-    many = "live" if names is None else f"{len(names)} frame(s)"
-    cameras = "cameras" if config.capture.poses is None else "images in a window"
     weights = (
         f", weights {config.checkpoint or weights_for(config.level)}" if config.method == "network" else ""
     )
-    console.print(
-        f"{many}, {len(source.rig)} {cameras}, rig radius {float(source.rig.radius):.3f} m, nearest hypothesis {near}"
-        f"{weights}",
-        markup=False,
-    )
+    console.print(f"nearest hypothesis {near}{weights}", markup=False)
     kinds = config.outputs or (("depth", "cloud", "npz") if source.rate == 0 else ("video",))
     settings = Settings(
         list(kinds),

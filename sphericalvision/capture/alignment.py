@@ -93,14 +93,14 @@ class RigTurns(NamedTuple):
         return float((self.turns.norm(dim=-1) + 2 * self.spread).max())
 
     def described(self) -> str:
-        """Return the verdict as a sentence."""
+        """Return the verdict as a sentence; ± is two standard deviations, as of ``within``."""
         if self.reason:
             return f"could not tell whether the calibration is right, because {self.reason}"
         if not self.turned:
             return f"finds the calibration right: no camera is turned by more than {math.degrees(self.within):.2f}°"
         estimates = zip(self.rig.names, self.turns.norm(dim=-1).tolist(), self.spread.tolist(), strict=True)
         which = ", ".join(
-            f"{name} by {math.degrees(angle):.2f}° ± {math.degrees(spread):.2f}°"
+            f"{name} by {math.degrees(angle):.2f}° ± {math.degrees(2 * spread):.2f}°"
             for name, angle, spread in estimates
             if name in self.turned
         )

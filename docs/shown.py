@@ -64,6 +64,12 @@ def html(picture: np.ndarray | Figure, alt: str) -> str:
     return f'<img class="picture" alt="{alt}" src="data:image/png;base64,{base64.b64encode(encoded).decode()}">'
 
 
+def embedded(page: Path, alt: str) -> str:
+    """A page of the viewer as HTML: a button, in whose place it is loaded."""
+    data = base64.b64encode(page.read_bytes()).decode()
+    return f'<p><button class="md-button" data-viewer="{data}">{alt}</button></p>'
+
+
 BOOSTS = {
     "how-do-i": 2.0,
     "tutorials/": 2.0,
@@ -112,6 +118,16 @@ def on_post_page(output: str, page: Any, config: Any) -> str:
             return f'loading="lazy" width="{width}" height="{height}" src="{place}"'
         return f'{match[1]}="{place}"'
 
+    def opened(match: re.Match[str]) -> str:
+        data = base64.b64decode(match[1])
+        name = f"images/made/{hashlib.sha256(data).hexdigest()[:16]}.html"
+        path = Path(config["site_dir"]) / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
+        frame = f"<iframe class=viewer title=viewer src={get_relative_url(name, page.url)}></iframe>"
+        return f"onclick=\"this.outerHTML='{frame}'\""
+
+    output = re.sub(r'data-viewer="([^"]+)"', opened, output)
     # Named attributes: a pattern of any name would be tried at each letter of the data.
     return re.sub(
         r'\b(src|xlink:href|href)="data:image/png;base64,([^"]{1500,})"',

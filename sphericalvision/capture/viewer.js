@@ -33,13 +33,20 @@ function view(id, fieldOfView, near, far) {
 }
 
 function panorama() {
-  const { canvas, camera, scene, draw } = view("panorama", 75, 0.1, 10);
+  const { canvas, camera, scene, renderer, draw } = view("panorama", 75, 0.1, 10);
   // The middle of the picture is forward, -z here; columns grow to the right.
   const sphere = new SphereGeometry(1, 96, 48);
   sphere.scale(-1, 1, 1);
   const names = data.frames[0].pictures.map((picture) => picture.name);
+  const borders = names.map(() => ({ value: 0 }));
   const layers = names.map((_, number) => {
-    const material = new MeshBasicMaterial({ transparent: true, opacity: number ? 0 : 1, depthWrite: false });
+    const material = new MeshBasicMaterial({ transparent: true, depthWrite: false });
+    // A picture covers the right of the window, from a border that the slide moves.
+    material.onBeforeCompile = (shader) => {
+      shader.uniforms.border = borders[number];
+      shader.fragmentShader = "uniform float border;\n" + shader.fragmentShader
+        .replace("#include <map_fragment>", "if (gl_FragCoord.x < border) discard;\n#include <map_fragment>");
+    };
     const mesh = new Mesh(sphere, material);
     mesh.rotation.y = -Math.PI / 2;
     mesh.renderOrder = number;
@@ -100,32 +107,39 @@ function panorama() {
   slider.max = names.length - 1;
   const slide = () => {
     const place = Number(slider.value);
-    layers.forEach((material, number) => {
-      material.opacity = number ? Math.max(0, Math.min(1, place - number + 1)) : 1;
+    borders.forEach((border, number) => {
+      border.value = (1 - Math.max(0, Math.min(1, place - number + 1))) * renderer.domElement.width * (number > 0);
     });
-    label.textContent = names[Math.round(place)];
+    label.textContent = place % 1 ? `${names[Math.floor(place)]} | ${names[Math.ceil(place)]}` : names[place];
     draw();
   };
   slider.addEventListener("input", slide);
+  new ResizeObserver(() => requestAnimationFrame(slide)).observe(canvas);
   slide();
   look();
-  return { show, turn, zoom };
+  return { show, turn, zoom, canvas, camera };
 }
 
 function cloud() {
   const { canvas, camera, scene, renderer, draw } = view("cloud", 75, 0.002 * data.radius, 10000);
-  scene.background = new Color(0xdde7ef);
+  const dark = matchMedia("(prefers-color-scheme: dark)");
+  const paint = () => { scene.background = new Color(dark.matches ? 0x15191d : 0xdde7ef); };
+  dark.addEventListener("change", () => { paint(); draw(); });
+  paint();
   const geometry = new BufferGeometry();
   const material = new PointsMaterial({ vertexColors: true });
   // Directions are spread evenly, so what a point stands for grows with its distance from the rig.
   material.onBeforeCompile = (shader) => {
     shader.vertexShader = shader.vertexShader
       .replace("gl_PointSize = size;", "gl_PointSize = size * length(position);")
+      .replace("#include <logdepthbuf_vertex>", "gl_PointSize = clamp(gl_PointSize, 1.0, 24.0);\n#include <logdepthbuf_vertex>")
       .replace("#include <color_vertex>", "#include <color_vertex>\nvColor.rgb = pow(vColor.rgb, vec3(2.2));");  // of images
   };
   scene.add(new Points(geometry, material));
   const controls = new OrbitControls(camera, canvas);
   controls.zoomSpeed = 3;
+  controls.minDistance = 0.005 * data.radius;
+  controls.maxDistance = 8 * data.reach;
   controls.addEventListener("change", draw);
   let inside = false;
   const where = document.getElementById("where"), cut = document.getElementById("cut");
@@ -133,19 +147,35 @@ function cloud() {
     inside = !inside;
     where.textContent = inside ? "from outside" : "from inside";
     controls.rotateSpeed = inside ? -0.5 : 1;  // inside the picture is what is dragged, not the camera
-    camera.position.set(...(inside ? [0, 0, 0.01] : [0.8, 1.8, 2.4])).multiplyScalar(data.radius);
+    // From outside the ball of most points fills the window, and what is above the rig is cut.
+    const outside = new Vector3(0.26, 0.58, 0.77).multiplyScalar(1.3 * data.reach);
+    controls.target.set(0, 0, 0);
+    camera.position.copy(inside ? new Vector3(0, 0, 0.01 * data.radius) : outside);
     controls.update();
+    cut.checked = !inside;
+    clip();
+  };
+  const clip = () => {
+    renderer.clippingPlanes = cut.checked ? [new Plane(new Vector3(0, -1, 0), 0.1 * data.radius)] : [];
     draw();
   };
   where.addEventListener("click", go);
-  cut.addEventListener("change", () => {
-    renderer.clippingPlanes = cut.checked ? [new Plane(new Vector3(0, -1, 0), 0.1 * data.radius)] : [];
-    draw();
-  });
+  cut.addEventListener("change", clip);
   go();
   const count = document.getElementById("number");
+  let points = new Float32Array();
+  // Metres of the point that lies nearest to a direction, if one lies within three degrees of it.
+  const distance = ({ x, y, z }) => {
+    let best = 0.9986, metres = null;
+    for (let i = 0; i < points.length; i += 3) {
+      const length = Math.hypot(points[i], points[i + 1], points[i + 2]);
+      const cosine = (points[i] * x + points[i + 1] * y + points[i + 2] * z) / length;
+      if (cosine > best) [best, metres] = [cosine, length];
+    }
+    return metres;
+  };
   const show = (frame) => {
-    const points = new Float32Array(bytes(frame.points));
+    points = new Float32Array(bytes(frame.points));
     geometry.setAttribute("position", new BufferAttribute(points, 3));
     geometry.setAttribute("color", new BufferAttribute(new Uint8Array(bytes(frame.colors)), 3, true));
     geometry.computeBoundingSphere();
@@ -153,10 +183,18 @@ function cloud() {
     material.size = 2 * Math.sqrt((4 * Math.PI) / Math.max(1, points.length / 3));
     draw();
   };
-  return { show, where, cut };
+  return { show, where, cut, distance };
 }
 
 const around = panorama(), points = cloud();
+around.canvas.addEventListener("pointermove", (event) => {
+  const { clientWidth: width, clientHeight: height } = around.canvas;
+  around.camera.updateMatrixWorld();
+  const ray = new Vector3((2 * event.offsetX) / width - 1, 1 - (2 * event.offsetY) / height, 0.5)
+    .unproject(around.camera).normalize();
+  const metres = points.distance(ray);
+  document.getElementById("metres").textContent = metres ? `${metres.toPrecision(3)} m` : "–";
+});
 const time = document.getElementById("time"), play = document.getElementById("play");
 const name = document.getElementById("frame");
 let wanted = 0, showing = Promise.resolve(), playing = null;

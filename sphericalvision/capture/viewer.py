@@ -39,6 +39,8 @@ MOST_FRAMES = 100
 """On a time line."""
 MOST_ERROR = 10.0
 """Percent of N: the bright end of errors."""
+MOST_REACH = 3.0
+"""Of a view from outside, in median distances: a sky is far away."""
 SURE = 0.3
 """Confidence from which depth counts for the scale."""
 
@@ -127,7 +129,7 @@ class Timeline:
         self.image_height = height if image_height is None else image_height
         self.height, self.title, self.near, self.most_points = height, title, near, most_points
         self._frames: list[dict[str, Any]] = []
-        self._radius = 1.0
+        self._radius = self._reach = 1.0
         self._number, self._every = 0, 1
 
     def __len__(self) -> int:
@@ -166,7 +168,9 @@ class Timeline:
             [1.0, -1.0, -1.0]
         )
         if not self._frames and len(points):
-            self._radius = float(points.norm(dim=-1).median())
+            distances = points.norm(dim=-1)
+            self._radius = float(distances.median())
+            self._reach = min(float(distances.quantile(0.9)), MOST_REACH * self._radius)
         levels = (cloud.colors[chosen].clamp(0, 1) * 255).round().byte()
         self._frames.append(
             {
@@ -181,17 +185,20 @@ class Timeline:
 
     def save(self, path: str | Path) -> Path:
         """Write the page and return its path."""
-        near = "near" if self.near is None else f"{self.near:.3g} m"
-        facts = (
-            f"red {near}, dark blue far away; greyer where less sure, grey where fewer than two cameras look"
-        )
+        near = self.near or 1.0
+        bar = depth_to_color(near / torch.linspace(1.0, 0.0, 256).repeat(8, 1), near)
+        facts = "evenly in 1/m; greyer where less sure, grey where fewer than two cameras look"
         if self._frames and len(self._frames[0]["pictures"]) > 3:
             facts += f"; error: black 0, yellow {MOST_ERROR:.0f} % of N and more"
         parts = {
             "TITLE": html.escape(self.title),
             "FACTS": facts,
+            "NEAR": f"{near:.3g} m",
+            "BAR": _data_url(bar),
             # The end of a script is no end of this one, whatever a frame is called.
-            "DATA": json.dumps({"frames": self._frames, "radius": self._radius}).replace("<", r"\u003c"),
+            "DATA": json.dumps(
+                {"frames": self._frames, "radius": self._radius, "reach": self._reach}
+            ).replace("<", r"\u003c"),
             "LIBRARY": (HERE / "three.min.js").read_text(encoding="utf-8"),
             "SCRIPT": (HERE / "viewer.js").read_text(encoding="utf-8"),
         }

@@ -43,7 +43,7 @@ def test_the_page_is_whole_in_itself(page: Path) -> None:
     assert "a &lt;room&gt;" in body
     assert "__" not in body
     assert not re.search(r"""(src|href)=["']?https?:""", text)
-    assert text.count("data:image/jpeg;base64,") == 8
+    assert text.count("data:image/jpeg;base64,") == 8 + 1  # the colour bar
 
 
 @pytest.mark.parametrize(
@@ -68,8 +68,10 @@ def test_images_of_one_frame_are_as_fine_as_the_cameras(tmp_path: Path) -> None:
         cv2.imdecode(np.frombuffer(base64.b64decode(url), np.uint8), cv2.IMREAD_COLOR).shape[:2]
         for url in re.findall('image/jpeg;base64,([^"]+)', text)
     ]
-    assert sizes[1:] == [(16, 32)] * 2
-    assert 90 < sizes[0][0] == sizes[0][1] / 2 < 130  # 128 pixels for 220 degrees are 105 for 180
+    bar, fine, *others = sizes
+    assert bar == (8, 256)
+    assert others == [(16, 32)] * 2
+    assert 90 < fine[0] == fine[1] / 2 < 130  # 128 pixels for 220 degrees are 105 for 180
 
 
 def small_depth(size: int = 16) -> Depth:
@@ -88,7 +90,7 @@ def test_a_time_line_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert re.findall(r'"name": "(\d+)"', text) == ["0", "4", "8"]
     assert "error" not in text[: text.index("<script")]
     one = save_viewer(tmp_path / "one.html", depth, 16).read_text()
-    assert one.count("data:image/jpeg;base64,") == 3
+    assert one.count("data:image/jpeg;base64,") == 3 + 1
 
 
 @pytest.fixture(scope="module")
@@ -155,6 +157,24 @@ def test_points_are_seen_from_inside_first_and_the_ceiling_is_cut_on_request(
     tab.locator("body").press("ArrowLeft")
     tab.wait_for_timeout(300)
     assert np.abs(picture(tab, "#panorama") - around).mean() > 1
+    assert complaints == []
+
+
+def test_it_opens_half_photograph_half_depth_and_says_the_distance_under_the_pointer(
+    opened: tuple[Any, list[str]],
+) -> None:
+    tab, complaints = opened
+    tab.locator("#slide").fill("0.5")
+    tab.wait_for_timeout(300)
+    assert tab.locator("#shown").inner_text() == "image | depth"
+    half = picture(tab, "#panorama")
+    middle = half.shape[1] // 2
+    for value, side in (("0", slice(0, middle - 2)), ("1", slice(middle + 2, None))):
+        tab.locator("#slide").fill(value)
+        tab.wait_for_timeout(300)
+        assert np.abs(picture(tab, "#panorama") - half)[:, side].mean() < 1
+    tab.locator("#panorama").hover()
+    assert 0.3 < float(tab.locator("#metres").inner_text().removesuffix(" m")) < 10
     assert complaints == []
 
 

@@ -170,7 +170,7 @@ def candidates_of(
     Args:
         fused: logits of the coarser one.
         modes: ``(B, V_coarse)`` best and second best index of each of its vertices; those of the logits when not given.
-        hint: on the finer one; where its weight is above 0 it takes the place of the second best index.
+        hint: on the finer one; it takes the place of the second best index where it is likelier.
 
     Examples:
         >>> logits = torch.zeros(1, 31, 42)
@@ -186,13 +186,13 @@ def candidates_of(
     around = best[:, ring_around(level, logits.device)]
     near, far = torch.maximum(best, around.amax(-1)), torch.minimum(best, around.amin(-1))
     ours, theirs = best[:, one], best[:, other]
-    last = second[:, one] if hint is None else hint.index.where(hint.weight > 0, second[:, one])
     index = torch.stack(
         (
             (ours + theirs) / 2,
             torch.maximum(near[:, one], near[:, other]),
             torch.minimum(far[:, one], far[:, other]),
-            last,
+            second[:, one],
+            *(() if hint is None else (hint.index,)),
         ),
         1,
     )
@@ -208,7 +208,14 @@ def candidates_of(
         positions = torch.arange(logits.shape[1], device=logits.device)[:, None] / 2
         spread = (probability * (positions - best[:, None]).abs()).sum(1)
         spread = (spread[:, one] + spread[:, other]) / 2
-    return Candidates(index, (likely[0] + likely[1]) / 2, step, spread)
+    both = (likely[0] + likely[1]) / 2
+    if hint is not None:
+        better = ((hint.weight > 0) & (both[:, 4] >= both[:, 3]))[:, None]
+        index, both = (
+            torch.cat((values[:, :3], values[:, 4:].where(better, values[:, 3:4])), 1)
+            for values in (index, both)
+        )
+    return Candidates(index, both, step, spread)
 
 
 @constant_table

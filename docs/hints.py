@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a hint is worth, what a wrong one costs, and how steady the last frame makes the next: tables of the guide.
+
+Run from the root of the repository: ``python docs/hints.py``, two minutes; ``python docs/hints.py some.safetensors 5``
+for other weights and another level of the images.
+"""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections import defaultdict
+from collections.abc import Iterator
+
+import torch
+from torch import Tensor
+
+from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.capture import Depth, Hint, Predictor
+from sphericalvision.icosphere import icosphere_upsample, num_icosphere_vertices
+from sphericalvision.scenes import World, make_scene, ray_depth, render_rig
+from sphericalvision.sweep import DepthHint, index_from_inverse_depth
+
+KINDS, SEEDS, PIXELS = ("plain", "polished", "room"), (2_900_000, 2_900_001), 240
+NUM_HYPOTHESES, MIN_DEPTH = 16, 0.55
+NARROW = 2.0
+"""Field of view, radians, of which four around see two thirds of the directions alone."""
+FRAMES, STEP, NOISE = 8, 0.05, 0.03
+"""Of a drive: images, metres between them, and the deviation of their noise."""
+STATIC = 0.1
+"""Hypotheses: deviation over time of the truth, below which a direction is static."""
+
+
+def index_of(inverse_depth: Tensor) -> Tensor:
+    """Index of what is no nearer than the nearest hypothesis."""
+    return index_from_inverse_depth(inverse_depth, NUM_HYPOTHESES, MIN_DEPTH).clamp(
+        0, NUM_HYPOTHESES - 1
+    )
+
+
+def noise(level: int, relative: float, generator: torch.Generator) -> Tensor:
+    """Factors ``(1, V)`` of this mean relative error, for a half alike over 20 degrees and for a half independent."""
+    smooth = torch.randn(1, 1, num_icosphere_vertices(2), generator=generator)
+    for _ in range(2, level):
+        smooth = icosphere_upsample(smooth)
+    smooth = smooth[:, 0] / smooth.std()
+    independent = torch.randn(smooth.shape, generator=generator)
+    return (
+        relative * 1.25 * (0.7 * smooth + 0.7 * independent)
+    ).exp()  # 1.25 deviations are one mean
+
+
+def hints(
+    truth: Tensor, other: Tensor, level: int
+) -> Iterator[tuple[str, DepthHint | None]]:
+    """Row of the table and hint, on a network's vertices, of the true inverse depth ``(1, V)`` or another."""
+    generator, every = torch.Generator().manual_seed(0), torch.ones_like(truth)
+    yield "none", None
+    yield "of weight 0", DepthHint(truth, 0 * every)
+    yield "5 % off", DepthHint(truth * noise(level, 0.05, generator), every)
+    yield (
+        "10 % off, weight 0.5",
+        DepthHint(truth * noise(level, 0.1, generator), every / 2),
+    )
+    points = (torch.rand(truth.shape, generator=generator) < 0.02).float()
+    yield (
+        "one direction in fifty, 1 % off",
+        DepthHint(truth * noise(level, 0.01, generator), points),
+    )
+    yield "of another scene", DepthHint(other, every)
+    yield "half as far away", DepthHint(2 * truth, every)
+
+
+def of_hints(weights: str, level: int) -> str:
+    """Mean error in hypotheses of what two cameras see, and of what one of narrow cameras sees alone."""
+    errors = defaultdict(list)
+    for field_of_view in (None, NARROW):
+        rig = ring_rig(4, image_size=(PIXELS, PIXELS))
+        if field_of_view is not None:
+            rig = ring_rig(
+                4, image_size=(PIXELS, PIXELS), field_of_view=field_of_view
+            )
+        predictor = Predictor(rig, weights, level=level, min_depth=MIN_DEPTH)
+        views = predictor.pipeline.intake.seen.sum(0)
+        directions = predictor.network.grid.directions
+        for kind in KINDS:
+            scenes = [make_scene(kind, seed) for seed in SEEDS]
+            truths = [
+                ray_depth(scene, rig.center, directions).reciprocal()[None]
+                for scene in scenes
+            ]
+            for scene, truth, other in zip(
+                scenes, truths, truths[::-1], strict=True
+            ):
+                images = render_rig(scene, rig, 1)
+                near = truth[0] > 1 / MIN_DEPTH
+                for row, hint in hints(truth, other, level):
+                    depth = predictor(images, hint)
+                    off = (index_of(depth.inverse_depth) - index_of(truth[0])).abs()
+                    if field_of_view is None:
+                        errors[row, kind].append(off[(views >= 2) & ~near].mean())
+                    else:
+                        errors[row, "one camera"].append(
+                            off[(views == 1) & ~near].mean()
+                        )
+    columns = (*KINDS, "one camera")
+    lines = [
+        "| hint | " + " | ".join(columns) + " |",
+        "|---|" + "---:|" * len(columns),
+    ]
+    base = {
+        column: float(torch.stack(errors["none", column]).mean())
+        for column in columns
+    }
+    for row in dict.fromkeys(row for row, _ in errors):
+        means = {
+            column: float(torch.stack(errors[row, column]).mean())
+            for column in columns
+        }
+        cells = [
+            f"{means[column]:.2f} ({100 * (means[column] / base[column] - 1):+.0f} %)"
+            for column in columns
+        ]
+        lines.append(f"| {row} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def drive(
+    scene: World, rig: CameraRig
+) -> Iterator[tuple[CameraRig, dict[str, Tensor]]]:
+    """Rig and noisy images of frame after frame of a rig that goes straight ahead."""
+    generator = torch.Generator().manual_seed(0)
+    for frame in range(FRAMES):
+        poses = rig.world_from_camera.clone()
+        poses[:, 2, 3] += STEP * frame
+        moved = rig.replaced(world_from_camera=poses)
+        images = render_rig(scene, moved, 1)
+        yield (
+            moved,
+            {
+                name: (
+                    image + NOISE * torch.randn(image.shape, generator=generator)
+                ).clamp(0, 1)
+                for name, image in images.items()
+            },
+        )
+
+
+def of_drives(weights: str, level: int) -> str:
+    """Flicker, the deviation over time of static directions, and the mean error of all, in hypotheses."""
+    lines = [
+        "| scene | flicker | with the last frame | error | with the last frame |",
+        "|---|---:|---:|---:|---:|",
+    ]
+    for kind in KINDS:
+        scene, rig = (
+            make_scene(kind, SEEDS[0]),
+            ring_rig(4, image_size=(PIXELS, PIXELS)),
+        )
+        predictor = Predictor(rig, weights, level=level, min_depth=MIN_DEPTH)
+        off: dict[bool, list[Tensor]] = {False: [], True: []}
+        truths = []
+        last: Depth | None = None
+        for moved, images in drive(scene, rig):
+            at = predictor.with_changes(moved)
+            truth = index_of(
+                ray_depth(
+                    scene, moved.center, at.network.grid.directions
+                ).reciprocal()
+            )
+            truths.append(truth)
+            off[False].append(index_of(at(images).inverse_depth) - truth)
+            hint = None if last is None else Hint.of_depth(last, torch.eye(4))
+            last = at(images, hint)
+            off[True].append(index_of(last.inverse_depth) - truth)
+        stacks = [torch.stack(off[carried])[2:] for carried in (False, True)]
+        static = torch.stack(truths)[2:].std(0) < STATIC
+        flicker = [float(stack.std(0)[static].mean()) for stack in stacks]
+        error = [float(stack.abs().mean()) for stack in stacks]
+        lines.append(
+            f"| {kind} | {flicker[0]:.3f} | {flicker[1]:.3f} ({100 * (flicker[1] / flicker[0] - 1):+.0f} %) "
+            f"| {error[0]:.2f} | {error[1]:.2f} ({100 * (error[1] / error[0] - 1):+.0f} %) |"
+        )
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    torch.set_grad_enabled(False)
+    warnings.simplefilter("ignore")  # hints of another scene are told
+    weights = sys.argv[1] if len(sys.argv) > 1 else "refinedsweepnet"
+    level = int(sys.argv[2]) if len(sys.argv) > 2 else 5
+    print(of_drives(weights, level), of_hints(weights, level), sep="\n\n")

@@ -8,9 +8,10 @@ expect, so ``except ValueError`` and ``except SphericalVisionError`` both work.
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
-from functools import wraps
+from functools import cache, wraps
 from importlib.util import find_spec
 from pathlib import Path
 from reprlib import Repr
@@ -387,8 +388,20 @@ def in_one_graph(device: torch.device) -> bool:
     return way == "graph" or (way != "reference" and (device.type != "cpu" or torch.compiler.is_compiling()))
 
 
-HAS_TRITON = find_spec("triton") is not None
-"""As with torch for CUDA on Linux."""
+@cache
+def runs_triton(device: torch.device) -> bool:
+    """Whether kernels in Triton run on a device: on NVIDIA's from Volta on, with Triton and a C compiler at hand.
+
+    Triton comes with torch for CUDA on Linux; what starts a kernel it compiles by ``CC``, gcc or clang.
+
+    Examples:
+        >>> runs_triton(torch.device("cpu"))
+        False
+    """
+    if device.type != "cuda" or find_spec("triton") is None:
+        return False
+    compilers = os.environ.get("CC") or "gcc", "gcc", "clang"
+    return any(map(shutil.which, compilers)) and torch.cuda.get_device_capability(device) >= (7, 0)
 
 
 def by_triton(*tensors: torch.Tensor, differentiable: bool = False) -> bool:
@@ -404,7 +417,7 @@ def by_triton(*tensors: torch.Tensor, differentiable: bool = False) -> bool:
         >>> by_triton(torch.zeros(3))
         False
     """
-    if not (HAS_TRITON and tensors[0].is_cuda) or uses_reference_kernels() or torch.compiler.is_compiling():
+    if torch.compiler.is_compiling() or uses_reference_kernels() or not runs_triton(tensors[0].device):
         return False
     differentiated = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
     return (differentiable or not differentiated) and not torch._C._are_functorch_transforms_active()

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import pytest
+import torch
 
+from sphericalvision import core
 from tests.processes import python
 
 MEDIANS = """
@@ -119,3 +121,27 @@ def test_a_kernel_returns_what_operators_of_torch_do(program: str, monkeypatch: 
     )
     monkeypatch.setenv("TRITON_INTERPRET", "1")
     python("-c", program)
+
+
+@pytest.mark.parametrize(
+    ("package", "compiler", "capability", "runs"),
+    [
+        (object(), "/usr/bin/gcc", (9, 0), True),
+        (None, "/usr/bin/gcc", (9, 0), False),
+        (object(), None, (9, 0), False),
+        (object(), "/usr/bin/gcc", (6, 1), False),
+    ],
+    ids=["all there", "no Triton", "no compiler", "an old GPU"],
+)
+def test_where_kernels_do_not_run_operators_of_torch_do(
+    package: object,
+    compiler: str | None,
+    capability: tuple[int, int],
+    runs: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(core, "find_spec", lambda _: package)
+    monkeypatch.setattr(core.shutil, "which", lambda _: compiler)
+    monkeypatch.setattr(torch.cuda, "get_device_capability", lambda _: capability)
+    assert core.runs_triton.__wrapped__(torch.device("cuda")) is runs
+    assert core.runs_triton.__wrapped__(torch.device("cpu")) is False

@@ -10,7 +10,7 @@ from torch import Tensor
 
 __all__ = ["hex_conv_kernel"]
 
-VERTICES, OUTPUTS, INPUTS = 32, 64, 32
+VERTICES, OUTPUTS, INPUTS = 32, 32, 32
 """Of a program: its vertices and output channels at most, and the input channels that it multiplies together."""
 
 

@@ -88,6 +88,16 @@ def test_eval_mode_in_float64(reference: Any, way: str) -> None:
     )
 
 
+@pytest.mark.parametrize(
+    "way",
+    # of plain torch the other tests here say that results are the same, and laws of the crown that gradients are
+    [
+        "reference",
+        pytest.param("plain", marks=pytest.mark.slow),
+        pytest.param("require", marks=needs_compiler),
+    ],
+    indirect=True,
+)
 def test_a_training_step_in_float64(reference: Any, way: str) -> None:
     """Statistics are those of one camera at a time, in order; gradients agree to seven digits."""
     net = network(reference, DOUBLE).train()

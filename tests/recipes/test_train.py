@@ -42,12 +42,13 @@ def test_resumed_training_equals_uninterrupted_training(
     assert any(not torch.equal(before[name], resumed[name]) for name in before)
 
 
-def test_training_in_mixed_precision_stays_close(run: Run, tmp_path: Path, tiny_training: Words) -> None:
-    for precision in ("32-true", "bf16-mixed"):
-        words = "trainer.max_steps=2", f"trainer.precision={precision}", f"output={precision}"
-        run("train", *tiny_training, *words)
+def test_training_in_mixed_precision_stays_close(
+    run: Run, tmp_path: Path, tiny_training: Words, trained: Any
+) -> None:
+    run("train", *tiny_training, "trainer.max_steps=2", "trainer.precision=bf16-mixed", "output=mixed")
     single, mixed = (
-        json.loads((tmp_path / name / "validation.json").read_text()) for name in ("32-true", "bf16-mixed")
+        json.loads((folder / "validation.json").read_text())
+        for folder in (trained.folder, tmp_path / "mixed")
     )
     ((single_errors,), (mixed_errors,)) = single.values(), mixed.values()
     assert mixed_errors == pytest.approx(single_errors, rel=0.1)

@@ -33,9 +33,11 @@ def checked_rigid(transform: Float[Tensor, "4 4"], where: str) -> Float[Tensor, 
     rotation = transform[:3, :3]
     deviation = float((rotation @ rotation.mT - torch.eye(3, dtype=rotation.dtype)).abs().max())
     if not (deviation < 1e-3 and float(torch.linalg.det(rotation)) > 0):
+        fault = f"one that is off by {deviation:.2g}"
+        if deviation < 1e-3:
+            fault = "a mirror (determinant -1): axes are left-handed; negate one of them in poses and points"
         raise FileFormatError(
-            f"{where}: expected a rotation (orthonormal, determinant +1) in the upper left 3 x 3, got one "
-            f"that is off by {deviation:.2g}"
+            f"{where}: expected a rotation (orthonormal, determinant +1) in the upper left 3 x 3, got {fault}"
         )
     return transform
 

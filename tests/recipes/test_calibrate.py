@@ -16,6 +16,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import angle_from_axis
 from sphericalvision.io.images import read_image, write_image
 from sphericalvision.recipes.commands import calibrate as commands
+from tests.capture.test_calibrate_rig import SIZE, calibrated, grid_of, seen_by, truth
 from tests.recipes.board_pictures import (
     COLUMNS,
     ROWS,
@@ -86,6 +87,19 @@ def test_boards_that_two_cameras_never_share_are_told(failing: Callable[..., str
     words = (f"board={COLUMNS}x{ROWS}", f"square={SQUARE}", "field_of_view_deg=130")
     message = failing("calibrate", f"images={tmp_path}/{{camera}}/*.png", *words)
     assert all(word in message for word in ("images: no view", "back", "front"))
+
+
+def test_a_picture_whose_board_stands_elsewhere_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    board = grid_of(9, 6)
+    pixels, seen = seen_by(truth(), board)
+    labels = [{name: f"{name}/{moment}.png" for name in ("cam0", "cam1")} for moment in range(len(pixels))]
+    pictures = commands.Pictures(labels, {"cam0": SIZE, "cam1": SIZE}, pixels, seen)
+    commands._report(calibrated(board, pixels, seen), pictures)
+    assert "Warning" not in capsys.readouterr().out
+    pixels[2, 1] += 30
+    commands._report(calibrated(board, pixels, seen), pictures)
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Warning: cam1/2.png left out: the board stands elsewhere than in the others' pictures" in said
 
 
 def test_a_lens_is_calibrated_from_pictures(

@@ -180,7 +180,7 @@ def calibrate_rig(
         alone[names[place]][1][view] = alone[names[place]][1][view] @ half_turn
     rig = CameraRig({name: camera for name, (camera, _) in alone.items()}, poses)
     free = sorted({name for camera in rig.cameras.values() for name in refinable_intrinsics(camera)})
-    agreeing = seen & ~_astray(rig, alone, points, pixels, seen)[..., None]
+    agreeing = seen.cpu() & ~_astray(rig, alone, points, pixels, seen)[..., None]
     refined = refine_rig(rig, points, pixels, agreeing, intrinsics=free)
     misses = refined.residuals.norm(dim=-1)
     typical = float(misses[misses > 0].median()) if bool((misses > 0).any()) else 0.0

@@ -117,7 +117,8 @@ def read_trajectory(path: str | Path) -> Trajectory:
         else:
             names.append(str(row) if count % 4 == 0 else words[0])
             poses.append(transform_from_rows(values[count % 4 :], where))
-    return _trajectory(names, poses, path, header is None and count % 4 == 0 and count > 8)
+    has_times = header is not None or count == 8
+    return _trajectory(names, poses, path, not has_times and count % 4 == 0, has_times)
 
 
 def _table(path: Path) -> tuple[list[str] | None, list[tuple[int, list[str]]]]:
@@ -165,11 +166,12 @@ def _of_images(path: Path) -> Trajectory:
 
 
 def _trajectory(
-    names: list[str], poses: list[Tensor], path: Path, names_are_rows: bool = False
+    names: list[str], poses: list[Tensor], path: Path, names_are_rows: bool = False, are_times: bool = False
 ) -> Trajectory:
+    """Of poses with names that differ, and tell times that differ where they are times."""
     seen: set[str | float] = set()
-    for name, time in zip(names, seconds(names), strict=True):
-        key = name if time is None or name[0].isalpha() else time  # left_0.1 and right_0.1 are two images
+    for name, time in zip(names, seconds(names) if are_times else names, strict=True):
+        key = name if time is None else time
         if key in seen:
             raise FileFormatError(f"{path}: two poses are called {name}; expected one a time or image")
         seen.add(key)

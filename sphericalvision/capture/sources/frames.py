@@ -28,6 +28,7 @@ __all__ = [
     "Frame",
     "Selection",
     "Source",
+    "called_as_first",
     "find_capture",
     "find_labels",
     "find_masks",
@@ -132,7 +133,7 @@ class Files:
     live, rate = False, 0.0
 
     def __init__(
-        self, files: Mapping[str, Mapping[str, Path]], rig: CameraRig, whole: CameraRig | None = None
+        self, files: Mapping[str, Mapping[str, Any]], rig: CameraRig, whole: CameraRig | None = None
     ) -> None:
         self.files, self.rig, self.whole = dict(files), rig, rig if whole is None else whole
         self.labels: dict[str, str] = {}
@@ -178,7 +179,7 @@ class Files:
         except (FileFormatError, OSError) as error:
             return Frame(name, None, error)
 
-    def _images(self, files: Mapping[str, Path]) -> dict[str, Any]:
+    def _images(self, files: Mapping[str, Any]) -> dict[str, Any]:
         if "" not in files:
             return read_frame(files, self.rig)
         views = split_views(read_image(files[""], what="a picture of all views").movedim(0, -1), self.whole)
@@ -223,7 +224,7 @@ def find_capture(
     by_camera = {name: _files(pattern, labels[name], others) for name in names}
     counts = ", ".join(f"{name}: {len(files)}" for name, files in by_camera.items())
     times = _times(by_camera)
-    by_camera, apart = _called_as_first(by_camera, times, tolerance)
+    by_camera, apart = called_as_first(by_camera, times, tolerance)
     common = set.intersection(*map(set, by_camera.values()))
     lacking = set().union(*by_camera.values()) - common
     if common and apart:
@@ -265,9 +266,9 @@ def _times(files: Mapping[str, Mapping[str, Path]]) -> dict[str, float]:
     return {frame: time for frame, time in zip(frames, seconds(frames), strict=True) if time is not None}
 
 
-def _called_as_first(
-    files: Mapping[str, Mapping[str, Path]], times: Mapping[str, float], tolerance: float
-) -> tuple[dict[str, dict[str, Path]], float]:
+def called_as_first(
+    files: Mapping[str, Mapping[str, Any]], times: Mapping[str, float], tolerance: float
+) -> tuple[dict[str, dict[str, Any]], float]:
     """Files by the first camera's frames where they are at most ``tolerance`` away, and seconds of the farthest.
 
     Either is the nearest of the other, so that no image is in two frames.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``images=`` may be: a pattern of images or videos, a folder, one video of all views, or live cameras."""
+"""What ``images=`` may be: a pattern of images or videos, a folder, one video of all views, a bag, or live cameras."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from sphericalvision.cameras import CameraRig
+from sphericalvision.capture.sources.bags import Bag, bag_of
 from sphericalvision.capture.sources.frames import Files, Source, find_capture, find_labels, find_masks
 from sphericalvision.capture.sources.videos import VIDEO_SUFFIXES, Videos
 from sphericalvision.core import ArgumentError, MissingFileError
@@ -43,7 +44,8 @@ def open_source(
     Args:
         images: a pattern of image files (``c/cam{camera}/{frame:05d}.png``) or of videos (``c/{camera}.mp4``); a
             folder; a video with all views side by side or in a stream for each camera; stills (``c/{frame}.jpg``) with
-            all views side by side; or ``live:0,1,2,3``, devices of this machine, or ``live:0``, one with all views.
+            all views side by side; a bag of ROS (``run.bag``, or the folder of one of ROS 2); or ``live:0,1,2,3``,
+            devices of this machine, or ``live:0``, one with all views.
         rig: all cameras of the calibration: which file belongs to which is decided on all of them.
         frames: names or numbers of the frames to take, of image files.
         leave_out: files that are no images, such as masks beside them.
@@ -71,6 +73,10 @@ def open_source(
         labels = find_labels(images, rig.names, used.names)
         (files,) = find_capture(images, used.names, labels=labels).values()
         return _announced(Videos(files, used, rig), labels)
+    bag = bag_of(path) if "{" not in images else None
+    if bag is not None:
+        _refuse_frames(frames)
+        return Bag(bag, used, rig, tolerance)
     if path.is_dir():
         return _of_folder(path, rig, frames, leave_out, used, tolerance)
     if len(rig) > 1 and "{camera" not in images:
@@ -167,7 +173,9 @@ def _devices(images: str, rig: CameraRig) -> dict[str, Path | int]:
 
 def _refuse_frames(frames: Iterable[int | str] | None) -> None:
     if frames is not None:
-        raise ArgumentError("frames: of videos and live cameras choose frames with start=, stop= and every=")
+        raise ArgumentError(
+            "frames: of videos, bags and live cameras choose frames with start=, stop= and every="
+        )
 
 
 def rig_for_images(rig: CameraRig, sizes: dict[str, tuple[int, int]]) -> CameraRig:

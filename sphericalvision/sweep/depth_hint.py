@@ -59,7 +59,7 @@ class DepthHint(NamedTuple):
 def check_hint(hint: DepthHint, shape: tuple[int, ...]) -> None:
     """Raise ``ShapeError`` unless a hint has a shape ``(B, *grid)``."""
     check_type("hint", hint, DepthHint, "DepthHint(inverse_depth, weight) on the network's icosphere")
-    for name, values in zip(hint._fields, hint, strict=True):
+    for name, values in zip(("inverse_depth", "weight"), hint, strict=True):
         check_tensor(f"hint.{name}", values, "(B, V)")
         check_floating(f"hint.{name}", values)
         if tuple(values.shape) != shape:

@@ -67,6 +67,7 @@ def bare_axes(figure: Figure, place: Sequence[float], title: str = "") -> Axes:
 
 def to_html(figure: Figure, alt: str, caption: str = "") -> str:
     """The figure as SVG inside the page; ``alt`` is read to those who do not see it."""
+    inches = figure.get_figwidth()
     text = io.StringIO()
     figure.savefig(text, format="svg")
     plt.close(figure)
@@ -84,7 +85,9 @@ def to_html(figure: Figure, alt: str, caption: str = "") -> str:
     )
     alt = html.escape(alt)
     svg = svg.replace(
-        "<svg", f'<svg class="drawing" role="img" aria-label="{alt}"', 1
+        "<svg",
+        f'<svg class="drawing" style="--inches: {inches}" role="img" aria-label="{alt}"',
+        1,
     )
     svg = re.sub(r"(<svg[^>]*>)", rf"\1<title>{alt}</title>", svg, count=1)
     below = f"<figcaption>{caption}</figcaption>" if caption else ""

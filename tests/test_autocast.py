@@ -100,7 +100,6 @@ NAMES: dict[str, Callable[[], Any]] = {
     "fit_inverse_polynomial": lambda: cameras.fit_inverse_polynomial(
         cameras.convert(lens(), "ocam").camera  # type: ignore[arg-type]
     ),
-    "sample_sphere": lambda: cameras.sample_sphere(turned(), images(), rays()),
     "straighten": lambda: cameras.straighten(lens()),
     "straighten_rig": lambda: cameras.straighten_rig(turned()),
     "from_kornia": lambda: cameras.from_kornia(kornia_camera()),

@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import copy
 import os
+import pickle
 import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import Any, Literal
 
@@ -374,3 +376,11 @@ def checked_device(device: torch.device | str) -> torch.device:
         choices = "'cpu' or 'cuda'" if torch.cuda.is_available() else "'cpu', the only one of this machine"
         reason = f"; torch says: {str(error).partition('. ')[0]}" if "driver" in str(error) else ""
         raise ArgumentError(f"device: expected {choices}, got {device!r}{reason}") from None
+
+
+def _by_value(predictor: Predictor) -> tuple[Any, tuple[bytes]]:
+    """How a predictor travels to another process: torch sends a file for each tensor, and a fork server takes 253."""
+    return pickle.loads, (pickle.dumps(predictor),)
+
+
+ForkingPickler.register(Predictor, _by_value)

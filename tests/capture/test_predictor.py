@@ -9,6 +9,7 @@ import pickle
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from multiprocessing.reduction import ForkingPickler
 from typing import Any
 
 import numpy as np
@@ -175,6 +176,21 @@ def test_workers_predict(predictor: Predictor, images: Images, start: str) -> No
     )
     for found, expected in zip(loader, frames, strict=False):
         torch.testing.assert_close(found, expected)
+
+
+def test_to_another_process_it_travels_without_a_file_for_each_tensor(
+    predictor: Predictor, images: Images, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process that a fork server starts takes 253 of them."""
+
+    def shared(*_: object) -> None:
+        raise AssertionError("a tensor was shared as a file")
+
+    monkeypatch.setitem(ForkingPickler._extra_reducers, torch.Tensor, shared)
+    arrived = ForkingPickler.loads(ForkingPickler.dumps(predictor))
+    assert torch.equal(arrived(images).index, predictor(images).index)
+    with pytest.raises(AssertionError, match="shared as a file"):
+        ForkingPickler.dumps(torch.ones(1))
 
 
 @pytest.mark.parametrize("cores", [1, 2])

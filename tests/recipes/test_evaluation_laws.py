@@ -9,19 +9,23 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
 from sphericalvision.cameras import CameraRig, EquirectangularCamera
+from sphericalvision.capture.preparation.preparation import AS_IT_IS
 from sphericalvision.data.scanned.helvipad import HELVIPAD_LATITUDES
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import ConstantDepth
 from sphericalvision.recipes.evaluation import methods
 from sphericalvision.recipes.evaluation.loop import errors_of_frame
 from sphericalvision.recipes.evaluation.methods import SCALE, Answer, make_method
+from sphericalvision.recipes.evaluation.pictures import camera_picture
 from sphericalvision.recipes.evaluation.records import Record
 from sphericalvision.recipes.evaluation.strips import StripErrors, table_with_published
 from sphericalvision.recipes.evaluation.tables import Cell, Table, error_table
+from sphericalvision.recipes.evaluation.track_frames import Size, render_frame
 from sphericalvision.recipes.evaluation.tracks import TRACKS, Track
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import DepthEstimate, index_from_inverse_depth
@@ -191,3 +195,29 @@ def test_words_are_the_methods_that_they_name(tmp_path: Path, monkeypatch: pytes
     assert make_method("constant", 2, folder=tmp_path).identity == made.identity
     assert path.stat().st_size > 100
     assert make_method(str(path), 2).name == "constant-2-3"
+
+
+@pytest.mark.parametrize(
+    ("shape", "width"), [((40, 80), 20), ((40, 40), 10), ((40, 20), 5), ((40, 200), 20)], ids=str
+)
+def test_pictures_of_cameras_are_as_wide_as_they_were_and_no_wider_than_a_panorama(
+    shape: tuple[int, int], width: int
+) -> None:
+    assert camera_picture(torch.rand(3, *shape), 10).shape == (10, width, 3)
+
+
+def test_renderings_are_kept_and_read(tmp_path: Path) -> None:
+    """By frame and carrier; what is kept is what is seen the next time."""
+    size = Size(level=3, panorama_rows=8, image_rows=16, preparation=AS_IT_IS)
+    frames = [render_frame(TRACKS[name], 0, size, tmp_path) for name in ("room", "carrier")]
+    kept = sorted(tmp_path.rglob("*.npz"))
+    assert len(kept) == 2
+    assert sum("robot" in path.name for path in kept) == 1
+    assert not torch.equal(frames[0].images["cam1"], frames[1].images["cam1"])
+    for path in kept:
+        with np.load(path) as stored:
+            np.savez(path, **{name: stored[name] // 2 for name in stored.files})
+    for name, frame in zip(("room", "carrier"), frames, strict=True):
+        again = render_frame(TRACKS[name], 0, size, tmp_path)
+        for camera, image in frame.images.items():
+            torch.testing.assert_close(again.images[camera], (255 * image).round().div(2).floor() / 255)

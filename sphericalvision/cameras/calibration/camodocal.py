@@ -89,8 +89,8 @@ def _ocam(values: Keys) -> Camera:
     polynomial, affine = values.inner("poly_parameters"), values.inner("affine_parameters")
     direct = [polynomial.number(f"p{power}") for power in range(5)]
     ac, ad, ae, cx, cy = (affine.number(key) for key in ("ac", "ad", "ae", "cx", "cy"))
-    if ac <= 0:
-        raise FileFormatError(f"{affine.at('ac')}: expected a number above 0, got {ac:g}")
+    if not 1e-3 < ac < 1e3:  # it is a share of two sides of a pixel
+        raise FileFormatError(f"{affine.at('ac')}: expected a number about 1, got {ac:g}")
     return make_ocam(
         [len(direct), *(value * ac ** (1 - power) for power, value in enumerate(direct))],
         None,  # inv_poly_parameters are a fit to what is inverted exactly here

@@ -48,9 +48,12 @@ def notebook(page: Path) -> Any:
         r"\[([^\]\n]*(?:\n[^\]\n]*)?)\]\((?!https?:)[^)\s]*\)", r"\1", text
     )
     text = text.replace("from shown import source\n", SOURCE)
-    # The viewer is a file, which a notebook has written, too.
+    # The viewer is a file, which a notebook has written, too, and its folder is the reader's.
     text = re.sub(
-        r"^.*\bembedded\b.*# markdown-exec: hide.*\n", "", text, flags=re.M
+        r"^.*\b(embedded|in_folder)\b.*# markdown-exec: hide.*\n",
+        "",
+        text,
+        flags=re.M,
     )
     text = re.sub(r" *# markdown-exec: hide.*$", "", text, flags=re.M)
     text = text.replace("from shown import html\n", SHOWN).replace(

@@ -10,8 +10,10 @@ import base64
 import hashlib
 import io
 import json
+import os
 import re
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +41,14 @@ NUMBER = r"[-−+±]?[\d.,()%–×]+"
 def on_config(config: object) -> None:
     """What MkDocs calls once it is configured."""
     sys.path.append(str(Path(__file__).parent))
+
+
+HERE = Path.cwd()
+
+
+def in_folder(make: bool) -> None:
+    """Go to an empty folder, where a page writes its files, or back."""
+    os.chdir(tempfile.mkdtemp() if make else HERE)
 
 
 def source(path: str, language: str = "yaml") -> str:

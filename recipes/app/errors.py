@@ -71,13 +71,15 @@ def override_message(error: Exception, command: str, words: Sequence[str]) -> st
     if unknown := re.search(r"Could not override '([^'@]+)", text):
         key = unknown[1]
         groups = compose(command, return_hydra_config=True).hydra.runtime.choices
-        choices = [word for word in words if word.partition("=")[0] in groups]
-        known_keys = [name for name in keys_of(compose(command, choices)) if "._" not in name]
+        choices = [
+            word for word in words if word.partition("=")[0] in groups and word.partition("=")[0] != key
+        ]
+        known_keys = [name for name in _keys_with(command, choices) if "._" not in name]
         group = key.partition(".")[0]
         having = [
             choice
             for choice in (f"{group}={option}" for option in _options(group, command) if group in groups)
-            if key in keys_of(compose(command, [*choices, choice]))
+            if key in _keys_with(command, [*choices, choice])
         ]
         if having or key in keys_of(compose(command)):  # of other options
             others = f" (it is a key of {', '.join(having)})" if having else ""
@@ -96,6 +98,14 @@ def override_message(error: Exception, command: str, words: Sequence[str]) -> st
             hint = f"{group} has {', '.join(name.partition('.')[2] for name in siblings)}. "
         return f"{key}: there is no such key in this configuration; {hint}All keys: {program} --help"
     return f"{text}; {program} --help lists groups with their options, and keys"
+
+
+def _keys_with(command: str, choices: Sequence[str]) -> Sequence[str]:
+    """Keys of a command with these options of groups; none where an option takes a group away."""
+    try:
+        return list(keys_of(compose(command, list(choices))))
+    except HydraException:
+        return []
 
 
 def _options(group: str, command: str) -> list[str]:

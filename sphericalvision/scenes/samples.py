@@ -125,9 +125,11 @@ def images_as_floats(
     """Return a batch of images that were left as bytes in [-1, 1], 0 where not seen.
 
     Examples:
-        >>> images = torch.tensor([0, 255, 255], dtype=torch.uint8).view(1, 1, 1, 3)
-        >>> images_as_floats(images, torch.tensor([[[True, True, False]]]))
-        tensor([[[[-1.,  1.,  0.]]]])
+        >>> images = torch.tensor([0, 255], dtype=torch.uint8).expand(1, 1, 3, 2)
+        >>> images_as_floats(images, torch.tensor([[[True, False]]]))[0, 0]
+        tensor([[-1.,  0.],
+                [-1.,  0.],
+                [-1.,  0.]])
     """
     return signed(decode(images).flatten(0, 1), seen.flatten(0, 1)).view(images.shape)
 

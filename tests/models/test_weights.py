@@ -27,7 +27,8 @@ from sphericalvision.models import (
     pretrained,
     save_weights,
 )
-from sphericalvision.models.weights import available_weights, weight_files
+from sphericalvision.models.weights import available_weights
+from sphericalvision.models.weights import files as weight_files
 from sphericalvision.models.weights.checkpoints import read_network
 
 Writer = Callable[..., Path]

@@ -1,3 +1,5 @@
+from .files import load_weights as load_weights
+from .files import save_weights as save_weights
 from .pretrained import available_weights as available_weights
 from .pretrained import pretrained as pretrained
 from .reference import load_reference_checkpoint as load_reference_checkpoint
@@ -7,5 +9,3 @@ from .registry import network_name as network_name
 from .registry import network_names as network_names
 from .registry import register_network as register_network
 from .romnistereo_checkpoint import load_romnistereo_checkpoint as load_romnistereo_checkpoint
-from .weight_files import load_weights as load_weights
-from .weight_files import save_weights as save_weights

@@ -9,6 +9,7 @@ import torch
 
 from sphericalvision.core import ArgumentError, FileFormatError, check_file
 from sphericalvision.models.depth_network import DepthNetwork
+from sphericalvision.models.weights.files import load_weights
 from sphericalvision.models.weights.filling import make_network
 from sphericalvision.models.weights.pretrained import STUDY, available_weights, pretrained
 from sphericalvision.models.weights.reference import load_reference_checkpoint
@@ -17,7 +18,6 @@ from sphericalvision.models.weights.romnistereo_checkpoint import (
     is_romnistereo,
     load_romnistereo_checkpoint,
 )
-from sphericalvision.models.weights.weight_files import load_weights
 
 __all__ = ["read_network", "weights_for"]
 

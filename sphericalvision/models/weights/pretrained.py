@@ -7,7 +7,7 @@ from pathlib import Path
 
 from sphericalvision.core import MissingFileError, check_choice
 from sphericalvision.models.depth_network import DepthNetwork
-from sphericalvision.models.weights.weight_files import load_weights
+from sphericalvision.models.weights.files import load_weights
 
 __all__ = ["STUDY", "available_weights", "pretrained"]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Error of panoramas near the edges of what is seen, and what no interpolation could take off it: a table of the guide.
+"""Error of panoramas near the edges of what is seen, and elsewhere: a table of the guide.
 
 Run from the root of the repository: ``python docs/edges.py``, two minutes; ``python docs/edges.py 512 room,floating``
 for images of 512 x 512 pixels and some kinds of scenes.
@@ -16,7 +16,6 @@ from torch import Tensor
 
 from sphericalvision.cameras import ring_rig
 from sphericalvision.capture import Predictor
-from sphericalvision.icosphere import locate
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import index_from_inverse_depth
@@ -69,24 +68,15 @@ def table(pixels: int = 1024, kinds: str = KINDS) -> str:
         for name, predictor in predictors.items():
             depth = predictor(images)
             panorama = depth.panorama(HEIGHT)
-            corners = index_of(depth.inverse_depth)[
-                locate(rays, depth.network.level)[0]
-            ].view(*truth.shape, 3)
-            for row, off in (
-                (name, (index_of(panorama.depth.reciprocal()) - truth).abs()),
+            off = (index_of(panorama.depth.reciprocal()) - truth).abs()
+            errors[name].append(
                 (
-                    "the best of the three vertices around",
-                    (corners - truth[..., None]).abs().amin(-1),
-                ),
-            ):
-                errors[name, row].append(
-                    (
-                        off[near & panorama.seen].mean(),
-                        off[~near & panorama.seen].mean(),
-                    )
+                    off[near & panorama.seen].mean(),
+                    off[~near & panorama.seen].mean(),
                 )
+            )
     lines = ["| | near edges | elsewhere |", "|---|---:|---:|"]
-    for (_, row), found in errors.items():
+    for row, found in errors.items():
         at_edges, elsewhere = torch.tensor(found).mean(0).tolist()
         lines.append(f"| {row} | {at_edges:.2f} | {elsewhere:.3f} |")
     return "\n".join(lines)

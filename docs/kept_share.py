@@ -188,52 +188,14 @@ def terrain(path: Path, seed: int) -> None:
     trimesh.util.concatenate(parts).export(path)
 
 
-def errors_by_confidence(answers: Answers) -> tuple[Tensor, Tensor, Tensor]:
-    """Share of the points, mean error, two hypotheses at most, and what is said, in twenty ranges of confidence."""
-    ranges = (20 * answers.confidences).long().clamp(max=19)
-    number = torch.bincount(ranges, minlength=20)
-    errors, said = (
-        torch.bincount(ranges, values, 20) / number.clamp(min=1)
-        for values in (answers.errors.clamp(max=2), 2 - 2 * answers.confidences)
-    )
-    return number / number.sum(), errors, said
-
-
-def calibration_errors(kinds: Sequence[Answers]) -> list[tuple[float, float]]:
-    """Of each kind, how far the errors are from what is said, and from what came at that confidence in all other kinds.
-
-    Means over points of absolute differences in twenty ranges of confidence, in hypotheses: the expected calibration
-    error. The second is that of a confidence which is calibrated without this kind. A range that no other kind has
-    keeps what is said.
-
-    References:
-        Guo et al. (2017), "On calibration of modern neural networks".
-    """
-    shares, errors, said = map(
-        torch.stack, zip(*map(errors_by_confidence, kinds), strict=True)
-    )
-    found = []
-    for one in range(len(kinds)):
-        others = torch.arange(len(kinds)) != one
-        weights = shares[others]
-        elsewhere = (weights * errors[others]).sum(0) / weights.sum(0)
-        learned = torch.where(weights.sum(0) > 0, elsewhere, said[one])
-        wrong = [
-            float((shares[one] * (errors[one] - guess).abs()).sum())
-            for guess in (said[one], learned)
-        ]
-        found.append((wrong[0], wrong[1]))
-    return found
-
-
 def kinds_table(name: str, kinds: Sequence[str], num_scenes: int = 4) -> str:
     """What the confidence says against what is so, kind by kind, as Markdown; a threshold for all scenes of a kind."""
     heads = [f"{low:.1f} to {min(high, 1):.1f}" for low, high in pairwise(BOUNDS)]
     lines = [
-        f"| kind | mean error, % of N | surest 80 % / all | {' | '.join(heads)} | off by | learned elsewhere |",
-        "|---|" + "---:|" * 10,
+        f"| kind | mean error, % of N | surest 80 % / all | {' | '.join(heads)} |",
+        "|---|" + "---:|" * (2 + len(heads)),
     ]
-    method, answers = by_network(pretrained(name)), []
+    method = by_network(pretrained(name))
     with TemporaryDirectory() as folder:
         if "meshes" in kinds:
             for seed in range(num_scenes):
@@ -243,7 +205,6 @@ def kinds_table(name: str, kinds: Sequence[str], num_scenes: int = 4) -> str:
                 (mesh_files(folder), "room") if kind == "meshes" else (None, kind)
             )
             found = measured(method, 0, num_scenes, usual, meshes)
-            answers.append(found)
             order = found.confidences.argsort(descending=True)
             surest = (
                 found.errors[order[: round(0.8 * len(order))]].mean()
@@ -266,16 +227,7 @@ def kinds_table(name: str, kinds: Sequence[str], num_scenes: int = 4) -> str:
                 )
             lines.append(f"| {kind} | {' | '.join(cells)} |")
             print(lines[-1], file=sys.stderr, flush=True)
-    ends = [
-        f" {said:.3f} | {learned:.3f} |"
-        for said, learned in calibration_errors(answers)
-    ]
-    return "\n".join(
-        [
-            *lines[:2],
-            *(line + end for line, end in zip(lines[2:], ends, strict=True)),
-        ]
-    )
+    return "\n".join(lines)
 
 
 def table(name: str | None = None, num_scenes: int = 12) -> str:

@@ -23,7 +23,7 @@ from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.app.cli import build, choose_device, console
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Number, Text
 from sphericalvision.recipes.evaluation.frames import SampleFrames
-from sphericalvision.recipes.evaluation.loop import VertexErrors, evaluate, mean_errors_by_method
+from sphericalvision.recipes.evaluation.loop import VertexErrors, evaluate, limit_text, mean_errors_by_method
 from sphericalvision.recipes.evaluation.methods import Method, Scale, constants, sweeps
 from sphericalvision.recipes.evaluation.tables import Table, save_errors
 from sphericalvision.scenes import World, WorldSamples
@@ -81,7 +81,7 @@ def demo(config: DemoConfig, folder: Path) -> Table:
     ]
     measure = VertexErrors(Scale(net.num_hypotheses, net.min_depth), net.level - 2, net.device)
     records = evaluate(methods, SampleFrames(lambda _: [collate_samples([sample])], 1), measure)
-    title = f"errors of this scene, percent of N = {net.num_hypotheses} (smaller is better)"
+    title = f"errors of this scene, percent of N = {net.num_hypotheses}; AbsRel, d<1.25 {limit_text('auto')}"
     table = save_errors(folder / "metrics", title, mean_errors_by_method(records))
     _print_contents(folder)
     return table

@@ -25,11 +25,11 @@ from sphericalvision.models import DepthNetwork
 from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.recipes.app.captures import with_own_body_masked
 from sphericalvision.recipes.app.cli import build, choose_device, print_config
-from sphericalvision.recipes.app.kinds import STRICT, Device, Number, OnlyWith, Share, Text
+from sphericalvision.recipes.app.kinds import STRICT, Device, Number, OnlyWith, Positive, Share, Text
 from sphericalvision.recipes.datamodules.base import SampleDataModule
 from sphericalvision.recipes.datamodules.depth import DepthDataModule
 from sphericalvision.recipes.evaluation.frames import SampleFrames
-from sphericalvision.recipes.evaluation.loop import VertexErrors, evaluate, mean_errors_by_method
+from sphericalvision.recipes.evaluation.loop import VertexErrors, evaluate, limit_text, mean_errors_by_method
 from sphericalvision.recipes.evaluation.methods import (
     AsUsed,
     Method,
@@ -61,6 +61,7 @@ class EvaluateKeys(TypedDict, total=False):
     model: Any
     masks: Literal["auto"] | None
     min_confidence: Share
+    max_depth_m: Positive | Literal["auto"]
     device: Device
     seed: Number
 
@@ -150,7 +151,9 @@ def evaluate_checkpoint(config: Annotated[DictConfig, EvaluateKeys], folder: Pat
     nothing = torch.zeros(1, *net.grid.shape, device=net.device)
     within = net.index_at(nothing, Icosphere(level, device=net.device).vertices)[1]
     published = getattr(data, "published", None)
-    measure = (StripErrors if published else VertexErrors)(scale, level, net.device, within)
+    measure = (StripErrors if published else VertexErrors)(
+        scale, level, net.device, within, config.max_depth_m
+    )
     samples = SampleFrames(lambda numbers: data.loader(Subset(frames, numbers)), len(frames))
     records = evaluate(methods, samples, measure)
     if records[name].means["points"]["kept"] == 0:
@@ -159,7 +162,8 @@ def evaluate_checkpoint(config: Annotated[DictConfig, EvaluateKeys], folder: Pat
         )
     table = save_errors(
         folder / "metrics",
-        f"{config.split}, {len(frames)} frame(s), level {config.model.level}, percent of N = {net.num_hypotheses}",
+        f"{config.split}, {len(frames)} frame(s), level {config.model.level}, percent of N = {net.num_hypotheses}; "
+        f"AbsRel, d<1.25 {limit_text(config.max_depth_m)}",
         mean_errors_by_method(records),
     )
     if published:

@@ -6,19 +6,34 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import torch
 from torch import Tensor
 
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.metrics import depth_index_error
+from sphericalvision.metrics import depth_error, depth_index_error
 from sphericalvision.recipes.evaluation.frames import Batch, FrameSet
 from sphericalvision.recipes.evaluation.methods import Answer, Method, Scale
 from sphericalvision.recipes.evaluation.records import Errors, Record
-from sphericalvision.sweep import index_from_inverse_depth
+from sphericalvision.sweep import depth_from_index, index_from_inverse_depth
 
-__all__ = ["Measure", "VertexErrors", "errors_of_frame", "evaluate", "mean_errors_by_method"]
+__all__ = [
+    "Limit",
+    "Measure",
+    "VertexErrors",
+    "errors_in_metres",
+    "errors_of_frame",
+    "evaluate",
+    "limit_text",
+    "mean_errors_by_method",
+]
+
+Limit = float | Literal["auto"]
+"""Depth in metres up to which AbsRel and d<1.25 count; ``"auto"``: 10 for scenes indoors, 80 for all others."""
+
+INDOORS = frozenset(("room", "hall", "corridor", "bare", "polished", "glazed", "plain", "lit"))
+"""Kinds of scenes with walls all around."""
 
 
 @torch.no_grad()
@@ -41,7 +56,7 @@ def evaluate(
     Returns:
         Name of a method -> its record, of these frames alone.
     """
-    key = {**frames.key, "generation": measure.generation, "hypotheses": list(measure.scale)}
+    key = {**frames.key, **measure.key, "hypotheses": list(measure.scale)}
     home = None if folder is None else folder / "records" / frames.name
     records = {
         method.name: Record(home and home / f"{method.name}.json", {**key, "method": method.identity})
@@ -97,8 +112,9 @@ class Measure(Protocol):
     """``(V, 3)`` in which estimates that are drawn are kept."""
     scale: Scale
     """In whose hypotheses."""
-    generation: int
-    """Raised whenever errors of the same frames and methods come out otherwise, so that old records are not taken."""
+    key: Mapping[str, Any]
+    """What else errors depend on. Its ``generation`` is raised whenever errors of the same frames and methods come out
+    otherwise, so that old records are not taken."""
 
     def truth(self, batch: Batch) -> Any:
         """What is right for a batch, the same for all methods."""
@@ -132,28 +148,74 @@ class VertexErrors:
         level: of the icosphere on which truth is.
         device: of the batches.
         within: ``(V,)``, False at vertices that are left out for all methods.
+        max_depth: of errors in metres.
     """
 
-    generation = 1
-
     def __init__(
-        self, scale: Scale, level: int, device: torch.device | str = "cpu", within: Tensor | None = None
+        self,
+        scale: Scale,
+        level: int,
+        device: torch.device | str = "cpu",
+        within: Tensor | None = None,
+        max_depth: Limit = "auto",
     ) -> None:
-        self.scale, self.within = scale, within
+        self.scale, self.within, self.max_depth = scale, within, max_depth
+        self.key = {"generation": 2, "max_depth": max_depth}
         self.directions = Icosphere(level, device=device).vertices
 
-    def truth(self, batch: Batch) -> tuple[Tensor, Tensor]:
-        """The true index, not rounded, and where it counts, both ``(B, V)``."""
+    def truth(self, batch: Batch) -> Any:
+        """True inverse depth, and where it counts, both ``(B, V)``; names of the frames."""
         valid = batch["valid"] if self.within is None else batch["valid"] & self.within
-        return index_from_inverse_depth(batch["inverse_depth"], *self.scale), valid
+        return batch["inverse_depth"], valid, batch["frame"]
 
-    def errors(self, answer: Answer, truth: tuple[Tensor, Tensor]) -> dict[str, Any]:
-        """``errors``: of ``depth_index_error``; ``points``: percent that are kept."""
-        target, counts = truth
+    def errors(self, answer: Answer, truth: Any) -> dict[str, Any]:
+        """Errors of ``depth_index_error`` and ``errors_in_metres``, and percent of the points that are kept."""
+        inverse_depth, counts, names = truth
         index, valid = answer.index_at(self.directions, self.scale)
-        share = 100 * (counts & valid).sum(1) / counts.sum(1)
-        errors = depth_index_error(index, target, self.scale.num_hypotheses, counts & valid)
-        return {"errors": errors, "points": {"kept": share}}
+        mask, target = counts & valid, index_from_inverse_depth(inverse_depth, *self.scale)
+        depth = depth_from_index(index, *self.scale)
+        return {
+            "errors": depth_index_error(index, target, self.scale.num_hypotheses, mask),
+            "metres": errors_in_metres(depth, inverse_depth.reciprocal(), mask, names, self.max_depth),
+            "points": {"kept": 100 * mask.sum(1) / counts.sum(1)},
+        }
+
+
+def errors_in_metres(
+    depth: Tensor, target: Tensor, mask: Tensor, names: Sequence[str], max_depth: Limit
+) -> dict[str, Tensor]:
+    """AbsRel and d<1.25 ``(B,)`` of depths ``(B, V)``, as ``depth_error`` takes them.
+
+    Args:
+        depth: estimates, metres; those beyond the limit count as the limit.
+        target: true depths, metres; those beyond the limit are left out.
+        mask: True where the truth counts.
+        names: of the frames, those of rendered scenes beginning with their kind.
+        max_depth: the limit.
+    """
+    frames = [
+        depth_error(depth[i, None], target[i, None], mask[i, None], max_depth=_limit_of(name, max_depth))
+        for i, name in enumerate(names)
+    ]
+    return {key: torch.cat([errors[key] for errors in frames]) for key in ("AbsRel", "d<1.25")}
+
+
+def _limit_of(name: str, max_depth: Limit) -> float:
+    if max_depth != "auto":
+        return max_depth
+    return 10.0 if name.partition("-")[0] in INDOORS else 80.0
+
+
+def limit_text(max_depth: Limit) -> str:
+    """The limit, for titles of tables.
+
+    Examples:
+        >>> limit_text(30), limit_text("auto")
+        ('within 30 m', 'within 10 m (rendered rooms) or 80 m (all else)')
+    """
+    return (
+        f"within {'10 m (rendered rooms) or 80 m (all else)' if max_depth == 'auto' else f'{max_depth:g} m'}"
+    )
 
 
 def mean_errors_by_method(records: Mapping[str, Record]) -> dict[str, dict[str, float]]:
@@ -162,7 +224,10 @@ def mean_errors_by_method(records: Mapping[str, Record]) -> dict[str, dict[str, 
     partial = any(
         mean["points"]["kept"] is not None and mean["points"]["kept"] < 100 for mean in means.values()
     )
-    rows = {name: mean["errors"] | (mean["points"] if partial else {}) for name, mean in means.items()}
+    rows = {
+        name: mean["errors"] | mean["metres"] | (mean["points"] if partial else {})
+        for name, mean in means.items()
+    }
     return {
         name: {key: math.nan if value is None else value for key, value in row.items()}
         for name, row in rows.items()

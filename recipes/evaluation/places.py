@@ -11,9 +11,10 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, seen_by
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
-from sphericalvision.metrics import depth_error, depth_index_error
+from sphericalvision.metrics import depth_index_error
 from sphericalvision.metrics.spread import error_of_surest
 from sphericalvision.metrics.structure import depth_structure, local_contrast
+from sphericalvision.recipes.evaluation.loop import Limit, errors_in_metres
 from sphericalvision.recipes.evaluation.methods import SCALE, Answer
 from sphericalvision.recipes.evaluation.track_frames import TrackFrame
 from sphericalvision.sphere import Equirectangular
@@ -39,7 +40,7 @@ class FrameTruth:
     """
 
     def __init__(self, frame: TrackFrame) -> None:
-        self.fine = Icosphere(level_from_num_vertices(frame.inverse_depth.shape[-1]))
+        self.name, self.fine = frame.name, Icosphere(level_from_num_vertices(frame.inverse_depth.shape[-1]))
         self.coarse_ids = coarse_ids(self.fine.level)
         self.index = index_from_inverse_depth(frame.inverse_depth, *SCALE)
         self.valid = frame.inverse_depth <= 1 / SCALE.min_depth
@@ -75,18 +76,20 @@ class PlaceErrors:
 
     * ``coarse``, ``fine``: at level 4 and 6 (two below the truth's, and its), by region, percent of N = 16;
     * ``panorama``: the same, every pixel with its solid angle;
-    * ``metres``: AbsRel and the share within a factor 1.25, at the coarse vertices;
+    * ``metres``: of ``errors_in_metres``, at the coarse vertices;
     * ``kept``: MAE of the surest points, by share of them; empty for a method that is equally sure of all;
     * ``points``: percent of the fine vertices that each region has.
 
     Args:
         level: icosphere on which truth is dense.
+        max_depth: of errors in metres.
     """
 
-    scale, generation = SCALE, 2
+    scale = SCALE
 
-    def __init__(self, level: int) -> None:
-        self.directions = Icosphere(level).vertices
+    def __init__(self, level: int, max_depth: Limit = "auto") -> None:
+        self.directions, self.max_depth = Icosphere(level).vertices, max_depth
+        self.key = {"generation": 3, "max_depth": max_depth}
 
     def truth(self, frame: TrackFrame) -> FrameTruth:
         """What is right in a frame."""
@@ -104,15 +107,14 @@ class PlaceErrors:
         }
         panorama, panorama_valid = answer.index_at(truth.around, SCALE)
         mask = (truth.regions["all"] & valid)[:, coarse]
-        depth = depth_from_index(fine[:, coarse], *SCALE)
-        metres = depth_error(depth, truth.inverse_depth[coarse].reciprocal()[None], mask)
+        depth, target = depth_from_index(fine[:, coarse], *SCALE), truth.inverse_depth[coarse].reciprocal()
         solid_angles = truth.solid_angles.float()
         return {
             **levels,
             "panorama": _errors(
                 panorama, truth.panorama, truth.panorama_counts & panorama_valid, solid_angles
             ),
-            "metres": {key: metres[key] for key in ("AbsRel", "d<1.25")},
+            "metres": errors_in_metres(depth, target[None], mask, [truth.name], self.max_depth),
             "kept": _errors_of_surest(
                 fine[:, coarse],
                 answer.confidence_at(self.directions)[:, coarse],

@@ -63,10 +63,9 @@ class Protocols:
         device: of the batches.
     """
 
-    generation = 3
-
     def __init__(self, scale: Scale, level: int, device: torch.device | str = "cpu") -> None:
         grid = Icosphere(level, device=device)
+        self.key = {"generation": 3}
         self.scale, self.directions, self.solid_angles = scale, grid.vertices, grid.solid_angles
         self.seam = seam_mask(grid.vertices)
         height = -grid.vertices[:, 1]  # sine of the latitude; up is -y

@@ -30,7 +30,7 @@ MORE = (("disparity", "MAE", "°"), ("disparity", "RMSE", "°"), ("disparity", "
 
 
 class _Truth(NamedTuple):
-    at_vertices: tuple[Tensor, Tensor]
+    at_vertices: Any
     batch: Batch
 
 

@@ -96,26 +96,20 @@ class Table(NamedTuple):
 
     def csv(self) -> str:
         """Numbers with six digits; standard deviations have a column next to that of their means."""
-        means = [any(isinstance(row[k], Cell) for row in self.rows) for k in range(len(self.columns))]
+        spread = [
+            any(isinstance(row[k], Cell) and row[k].spread is not None for row in self.rows)  # type: ignore[union-attr]
+            for k in range(len(self.columns))
+        ]
         file = io.StringIO()
         writer = csv.writer(file, lineterminator="\n")
-        names = [self.columns[0] or "name", *self.columns[1:]]
-        writer.writerow(
-            [
-                h
-                for name, mean in zip(names, means, strict=True)
-                for h in ([name, f"{name} sd"] if mean else [name])
-            ]
-        )
+        names = zip([self.columns[0] or "name", *self.columns[1:]], spread, strict=True)
+        writer.writerow([h for name, more in names for h in ([name, f"{name} sd"] if more else [name])])
         for row in self.rows:
             values: list[Any] = []
-            for cell, mean in zip(row, means, strict=True):
-                if not mean:
-                    values.append(_exact(cell) if isinstance(cell, float) else cell)
-                else:
-                    values += (
-                        [_exact(cell.mean), _exact(cell.spread)] if isinstance(cell, Cell) else [None, None]
-                    )
+            for cell, more in zip(row, spread, strict=True):
+                mean, deviation = cell[:2] if isinstance(cell, Cell) else (cell, None)
+                values.append(_exact(mean) if isinstance(mean, float) else mean)
+                values += [_exact(deviation)] if more else []
             writer.writerow(values)
         return file.getvalue()
 
@@ -159,7 +153,7 @@ class Table(NamedTuple):
 
 
 def error_table(title: str, errors: Mapping[str, Mapping[str, float]]) -> Table:
-    """A row of errors for each name; the columns are those of the first.
+    """A row of errors for each name; the columns are those of the first. AbsRel and d<1.25 have three digits.
 
     Examples:
         >>> print(error_table("percent of N", {"net": {"MAE": 1.5, "RMS": 2.25}}).markdown())
@@ -171,9 +165,11 @@ def error_table(title: str, errors: Mapping[str, Mapping[str, float]]) -> Table:
         <BLANKLINE>
     """
     columns = list(next(iter(errors.values())))
-    return Table(
-        title, ("", *columns), [[[name, *(row[key] for key in columns)] for name, row in errors.items()]]
-    )
+    rows = [
+        [name, *(Cell(row[key], digits=3) if key in ("AbsRel", "d<1.25") else row[key] for key in columns)]
+        for name, row in errors.items()
+    ]
+    return Table(title, ("", *columns), [rows])
 
 
 def save_errors(stem: Path, title: str, errors: Mapping[str, Mapping[str, float]]) -> Table:

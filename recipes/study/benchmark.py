@@ -18,7 +18,7 @@ from sphericalvision.core import FileFormatError
 from sphericalvision.io.images import write_image
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.cli import console
-from sphericalvision.recipes.evaluation.loop import evaluate
+from sphericalvision.recipes.evaluation.loop import Limit, evaluate, limit_text
 from sphericalvision.recipes.evaluation.methods import SCALE, Method, check_names, make_method
 from sphericalvision.recipes.evaluation.pictures import (
     DrawnFrame,
@@ -43,8 +43,12 @@ BY_TRACK: dict[str, tuple[str, str, int]] = {
     "MAE on a panorama": ("MAE on a panorama, by solid angle", "panorama MAE", 2),
     "Points off by more than 1 %": ("Points off by more than 1 % at {coarse}", "coarse all >1", 2),
     "RMS at {coarse}": ("RMS at {coarse}", "coarse all RMS", 2),
-    "Relative error": ("Mean relative error of the depth in metres, AbsRel, at {coarse}", "metres AbsRel", 3),
-    "Within a factor of 1.25": ("Share of depths within a factor 1.25 at {coarse}", "metres d<1.25", 3),
+    "Relative error": ("Mean relative error of the depth, AbsRel, {limit}, at {coarse}", "metres AbsRel", 3),
+    "Within a factor of 1.25": (
+        "Share of depths within a factor 1.25, d<1.25, {limit}, at {coarse}",
+        "metres d<1.25",
+        3,
+    ),
 }
 """Tables of tracks by methods: heading -> title, which of the errors, and its digits."""
 
@@ -62,7 +66,9 @@ def compare(config: DictConfig, folder: Path) -> Results:
     sets = [TrackFrames(track, numbers, size, cache) for track in tracks]
     console.print(f"{len(tracks)} tracks, {node.frames} scenes each, {len(methods)} methods", highlight=False)
     processes = Parallel(n_jobs=max(1, node.workers), return_as="generator")
-    measured = processes(delayed(_measure)(frames, words, folder, config.panel_height) for frames in sets)
+    measured = processes(
+        delayed(_measure)(frames, words, folder, config.panel_height, node.max_depth_m) for frames in sets
+    )
     records: dict[str, dict[str, Record]] = {}
     for frames, of_track in zip(sets, measured, strict=True):
         records[frames.name] = of_track
@@ -76,13 +82,16 @@ def compare(config: DictConfig, folder: Path) -> Results:
         "results": results.plain(),
     }
     title = "Benchmark of depth methods"
-    save_report(folder, "benchmark", title, benchmark_tables(results, tracks, size.level), pictures, content)
+    tables = benchmark_tables(results, tracks, size.level, node.max_depth_m)
+    save_report(folder, "benchmark", title, tables, pictures, content)
     return results
 
 
-def benchmark_tables(results: Results, tracks: Sequence[Track], level: int) -> dict[str, Table]:
+def benchmark_tables(
+    results: Results, tracks: Sequence[Track], level: int, max_depth: Limit = "auto"
+) -> dict[str, Table]:
     """The tables by their headings; that of tilts only where there are such tracks."""
-    levels = {"coarse": f"level {level - 2}", "fine": f"level {level}"}
+    levels = {"coarse": f"level {level - 2}", "fine": f"level {level}", "limit": limit_text(max_depth)}
     tables = {
         heading.format(**levels): results.by_method(title.format(**levels), "track", path, digits)
         for heading, (title, path, digits) in BY_TRACK.items()
@@ -169,16 +178,21 @@ def scores(
     return run_track(track_frames, [method], None)["network"].means
 
 
-def run_track(frames: TrackFrames, methods: Sequence[Method], folder: Path | None) -> dict[str, Record]:
+def run_track(
+    frames: TrackFrames, methods: Sequence[Method], folder: Path | None, max_depth: Limit = "auto"
+) -> dict[str, Record]:
     """Score methods on frames of a track, those that are not in ``folder`` yet; the records by method."""
     with threads_kept():
         torch.set_num_threads(1)  # for times that mean something
-        return evaluate(methods, frames, PlaceErrors(frames.size.level), folder, count_cost=True)
+        measure = PlaceErrors(frames.size.level, max_depth)
+        return evaluate(methods, frames, measure, folder, count_cost=True)
 
 
-def _measure(frames: TrackFrames, words: tuple[str, ...], folder: Path, rows: int) -> dict[str, Record]:
+def _measure(
+    frames: TrackFrames, words: tuple[str, ...], folder: Path, rows: int, max_depth: Limit
+) -> dict[str, Record]:
     """Measure a track and draw its page; returns the records of its frames by method."""
-    records = run_track(frames, _methods(words, frames.size.level, folder), folder)
+    records = run_track(frames, _methods(words, frames.size.level, folder), folder, max_depth)
     place = folder / "pages" / f"{frames.track.name}.png"
     key = {name: record.key for name, record in records.items()} | {"rows": rows, "frames": frames.drawn}
     if not (place.is_file() and _key_of(place) == key):

@@ -20,7 +20,7 @@ from typing_extensions import TypedDict
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.images import write_image
 from sphericalvision.recipes.app.cli import choose_device, console, print_config
-from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Number, OnlyWith, Size, Text
+from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Number, OnlyWith, Positive, Size, Text
 from sphericalvision.recipes.evaluation.loop import evaluate
 from sphericalvision.recipes.evaluation.pictures import DrawnFrame, frames_sheet
 from sphericalvision.recipes.evaluation.protocols import Protocols
@@ -51,6 +51,7 @@ class BenchmarkKeys(TypedDict, total=False):
     panorama_rows: Annotated[int, Ge(2)]
     image_rows: Annotated[int, Ge(8)]
     samples_per_pixel: Count
+    max_depth_m: Positive | Literal["auto"]
     cache_dir: Text | None
     workers: Number
 

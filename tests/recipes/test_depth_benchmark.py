@@ -20,7 +20,7 @@ from sphericalvision.io.images import read_image
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep
 from sphericalvision.recipes.datamodules.scenes import SceneDataModule
 from sphericalvision.recipes.evaluation import methods, track_frames
-from sphericalvision.recipes.evaluation.loop import errors_of_frame
+from sphericalvision.recipes.evaluation.loop import Limit, errors_of_frame
 from sphericalvision.recipes.evaluation.methods import SCALE, Method, identity_of, make_method
 from sphericalvision.recipes.evaluation.places import FrameTruth, PlaceErrors
 from sphericalvision.recipes.evaluation.records import Record
@@ -58,11 +58,11 @@ def test_errors_of_a_known_offset(frame: TrackFrame) -> None:
     """0.8 hypotheses are 5 % of N; half of the points are off, and the other half is known to be right."""
     truth = FrameTruth(frame)
 
-    def errors(offset: float) -> dict[str, Any]:
+    def errors(offset: float, max_depth: Limit = "auto") -> dict[str, Any]:
         net = Oracle(offset=offset)
         net.index = truth.index
         answer = Method("oracle", net)(frame)
-        return errors_of_frame(PlaceErrors(3).errors(answer, truth), 0)
+        return errors_of_frame(PlaceErrors(3, max_depth).errors(answer, truth), 0)
 
     found = errors(0.8)
     counts = truth.regions["all"]
@@ -75,6 +75,8 @@ def test_errors_of_a_known_offset(frame: TrackFrame) -> None:
     )
     assert found["fine"]["sky"]["MAE"] is not None  # outdoors has one
     assert errors(0.0)["fine"]["all"]["MAE"] == pytest.approx(0, abs=1e-4)
+    assert errors(0.0)["metres"] == {"AbsRel": pytest.approx(0, abs=1e-4), "d<1.25": 1.0}
+    assert errors(0.0, 0.5)["metres"] == {"AbsRel": None, "d<1.25": None}  # nothing is that near
 
 
 def test_tilted_tracks_compare_the_same_points() -> None:

@@ -23,6 +23,7 @@ from sphericalvision.models.depth_network import DepthEstimate
 from sphericalvision.recipes.evaluation.frames import SampleFrames
 from sphericalvision.recipes.evaluation.loop import VertexErrors, evaluate, mean_errors_by_method
 from sphericalvision.recipes.evaluation.methods import Answer, AsUsed, Method, Scale, photographs_of
+from sphericalvision.sweep import inverse_depth_from_index
 from tests.recipes.tiny import TINY_SCENES, Run
 from tests.worlds import scenes as world_scenes
 
@@ -149,8 +150,9 @@ def test_errors_count_where_the_truth_does_and_the_method_says_something() -> No
     )
     answer = Answer(Constant(), depth, min_confidence=0.5)
     answer._look_up = lambda values, directions: (values, torch.ones(4) > 0)  # type: ignore[method-assign]
-    truth = torch.tensor([[1.0, 3, 0, 2]]), torch.tensor([[True, True, True, False]])
-    errors = VertexErrors(Scale(8, 0.5), 1).errors(answer, truth)
+    truth = inverse_depth_from_index(torch.tensor([[1.0, 3, 0, 2]]), 8, 0.5)
+    counts = torch.tensor([[True, True, True, False]])
+    errors = VertexErrors(Scale(8, 0.5), 1).errors(answer, (truth, counts, ["a"]))
     assert float(errors["points"]["kept"]) == pytest.approx(100 * 2 / 3)
     assert float(errors["errors"]["MAE"]) == pytest.approx(100 * 0.5 / 8)
 

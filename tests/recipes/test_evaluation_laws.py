@@ -19,7 +19,12 @@ from sphericalvision.data.scanned.helvipad import HELVIPAD_LATITUDES
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import ConstantDepth
 from sphericalvision.recipes.evaluation import methods
-from sphericalvision.recipes.evaluation.loop import errors_of_frame
+from sphericalvision.recipes.evaluation.loop import (
+    Limit,
+    VertexErrors,
+    errors_of_frame,
+    mean_errors_by_method,
+)
 from sphericalvision.recipes.evaluation.methods import SCALE, Answer, make_method
 from sphericalvision.recipes.evaluation.pictures import camera_picture
 from sphericalvision.recipes.evaluation.records import Record
@@ -66,6 +71,7 @@ def test_errors_along_the_rays_of_a_camera_that_stands_off_the_centre() -> None:
     batch: dict[str, Any] = {
         "rig": rig, "strip_depth": depth, "strip_depth_augmented": augmented,
         "inverse_depth": around.reciprocal() / 2, "valid": torch.ones(around.shape, dtype=torch.bool),
+        "frame": ["a", "b"],
     }  # fmt: skip
     errors = measure.errors(answer, measure.truth(batch))
     across, down = (0.191 * part for part in (rays[1:, :, ::2].norm(dim=-1), rays[1:, :, 1]))
@@ -92,6 +98,43 @@ def test_errors_along_the_rays_of_a_camera_that_stands_off_the_centre() -> None:
         )
         ends = 0.1 * (exact[frame, :5, 0] - exact[frame, :5, -1])
         assert numbers["depth"]["LRCE"] == pytest.approx(float(ends.abs().mean()), rel=0.05)
+
+
+def test_relative_errors_count_up_to_ten_metres_in_rooms_and_eighty_elsewhere() -> None:
+    """Of four points one is 100 m away and estimated at 110, one 20 m and 90, and two are 5 m, one estimated at 6.5."""
+    net = ConstantDepth(LEVEL + 2, *SCALE)
+    names = ["room-00000000", "outdoors-00000000", "00001"]
+    repeats = math.ceil(net.grid.num_vertices / 4)
+    true, estimated = (
+        torch.tensor(depths).repeat(repeats)[: net.grid.num_vertices].expand(3, -1)
+        for depths in ([100.0, 20.0, 5.0, 5.0], [110.0, 90.0, 6.5, 5.0])
+    )
+    counts = torch.arange(net.grid.num_vertices) < 4 * (repeats - 1)  # whole fours
+    index = index_from_inverse_depth(estimated.reciprocal(), *SCALE)
+    answer = Answer(
+        net, DepthEstimate(index, torch.ones_like(index), torch.ones_like(index, dtype=torch.bool))
+    )
+    batch = {"inverse_depth": true.reciprocal(), "valid": counts.expand(3, -1), "frame": names}
+
+    def errors(max_depth: Limit) -> list[dict[str, float | None]]:
+        measure = VertexErrors(SCALE, LEVEL, max_depth=max_depth)
+        every = measure.errors(answer, measure.truth(batch))
+        return [errors_of_frame(every, frame)["metres"] for frame in range(3)]
+
+    room = {"AbsRel": pytest.approx(0.3 / 2), "d<1.25": 0.5}
+    far = {
+        "AbsRel": pytest.approx((3.0 + 0.3) / 3, rel=1e-5),
+        "d<1.25": pytest.approx(1 / 3),
+    }  # 90 m count as 80
+    assert errors("auto") == [room, far, far]
+    farther = {"AbsRel": pytest.approx((0.1 + 3.5 + 0.3) / 4, rel=1e-5), "d<1.25": 0.5}
+    assert errors(200.0) == [farther] * 3
+    assert errors(4.0) == [{"AbsRel": None, "d<1.25": None}] * 3  # nothing is that near
+    record = Record()
+    record.add("a", {"errors": {"MAE": 1.5}, "metres": {"AbsRel": 0.0625}, "points": {"kept": 100.0}})
+    table = error_table("", mean_errors_by_method({"net": record}))
+    assert table.texts() == [["net", "1.50", "0.062"]]
+    assert table.csv() == "name,MAE,AbsRel\nnet,1.5,0.0625\n"
 
 
 def test_what_was_published_stands_below_what_was_measured() -> None:

@@ -90,6 +90,9 @@ def render(config: RenderConfig) -> int:
         frames_made = track(loader, "rendering", total=len(missing), console=console)
         write_omnistereo(folder, frames_made, rig, release, config.min_depth)
     print(f"{len(missing)} frames written, {len(frames)} in {folder}")
+    print(
+        f"Depth: sphericalvision-predict calibration={folder} images='{folder}/cam{{camera}}/{{frame}}.png'"
+    )
     print(f"Read back with: data=omnistereo data.root={folder} data.train_split=all data.val_split=all")
     return len(missing)
 

@@ -117,6 +117,14 @@ def test_folder_of_ocam_files(tmp_path: Path, unit: str, metres: float) -> None:
     assert torch.equal(read_rig(folder / "poses.txt", translation_unit="mm").axes, rig.axes)
 
 
+def test_a_folder_may_state_its_unit(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "set", "# translation_unit: cm\n" + POSES_CM)
+    assert read_rig(folder).radius.item() == pytest.approx(0.2)
+    assert "says 'cm' itself, got 'mm'; leave it out" in refused(folder, translation_unit="mm")
+    write_folder(folder, "# translation_unit: inch\n" + POSES_CM)
+    assert "poses.txt: translation_unit: expected" in refused(folder)
+
+
 def test_files_are_ordered_by_number(tmp_path: Path) -> None:
     poses = "".join(f"0 0 0 {index} 0 0\n" for index in range(1, 12))
     rig = read_rig(write_folder(tmp_path / "set", poses, cameras=11), translation_unit="cm")

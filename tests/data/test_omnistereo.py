@@ -16,7 +16,7 @@ import torch
 import yaml
 from torch.utils.data import DataLoader
 
-from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras import CameraRig, read_rig
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
 from sphericalvision.data import OmniStereoDataset, collate_samples, write_omnistereo
 
@@ -74,6 +74,7 @@ def test_convention_layout_of_the_png_release(tmp_path: Path, rig: CameraRig, fr
         "poses.txt",
     ]
     poses = np.loadtxt(tmp_path / "poses.txt")  # cm; front, right, back, left
+    torch.testing.assert_close(read_rig(tmp_path).positions, rig.positions, rtol=0, atol=1e-6)
     np.testing.assert_allclose(poses[:, 3:], [[0, 0, 20], [20, 0, 0], [0, 0, -20], [-20, 0, 0]], atol=1e-5)
     np.testing.assert_allclose(poses[:2, :3], [[0, 0, 0], [0, math.pi / 2, 0]], atol=1e-6)
     assert cv2.imread(str(tmp_path / "depth_train_640/00012.png"), cv2.IMREAD_UNCHANGED).dtype == np.uint16

@@ -15,7 +15,7 @@ import torch
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.files import data_lines, looks_structured
+from sphericalvision.cameras.calibration.files import data_lines, looks_structured, read_text
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.lenses import check_holds, numbers_of
 from sphericalvision.cameras.calibration.parsing import (
@@ -166,12 +166,19 @@ def _folder_contents(folder: Path, options: Options) -> Contents:
         raise MissingFileError(
             f"{folder}: no ocam1.txt, ocam2.txt, ... beside poses.txt (one for each camera expected)"
         )
-    if options.translation_unit is None:
+    stated = re.search(r"^# translation_unit: (\S+)", read_text(poses_path), re.MULTILINE)
+    name = stated[1] if stated else options.translation_unit
+    if name is None:
         raise ArgumentError(
             f"translation_unit: {poses_path} does not tell its unit; pass 'm', 'cm' or 'mm' "
             "(OmniThings, OmniHouse and the urban sets: 'cm')"
         )
-    unit = metres_per(options.translation_unit)
+    if options.translation_unit not in (None, name):
+        raise ArgumentError(
+            f"translation_unit: {poses_path} says {name!r} itself, got {options.translation_unit!r}; leave it out"
+        )
+    with errors_of_file(str(poses_path)):
+        unit = metres_per(name)
     lines = data_lines(poses_path)
     if len(lines) != len(files):
         raise FileFormatError(

@@ -182,7 +182,7 @@ def _calibration(root: Path, layout: Release, rig: CameraRig, min_depth: float) 
 
 def _write_ocam_files(folder: Path, layout: Release, rig: CameraRig) -> None:
     """``ocam1.txt``, ... and the poses in cm: axis-angle in radians and translation, camera to rig."""
-    lines = []
+    lines = ["# translation_unit: cm\n"]
     for number, (camera, pose) in enumerate(zip(rig.cameras.values(), rig.world_from_camera, strict=True), 1):
         save_camera(camera, folder / f"ocam{number}.txt", format="ocamcalib")
         numbers = [*axis_angle_from_rotation(pose[:3, :3]), *(100 * pose[:3, 3]).tolist()]

@@ -6,11 +6,12 @@ from __future__ import annotations
 import hashlib
 import random
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import torch
+from annotated_types import Ge, MinLen
 from pydantic import with_config
 from torch.utils.data import Dataset
 from typing_extensions import TypedDict
@@ -24,7 +25,6 @@ from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.kinds import STRICT, Count, Share, Size
 from sphericalvision.recipes.datamodules.ahead import ReusedBatches
 from sphericalvision.recipes.datamodules.base import PreparedSamples, Sample
-from sphericalvision.recipes.datamodules.entries import check_on_icospheres
 from sphericalvision.recipes.datamodules.scenes import RenderedDataModule
 from sphericalvision.scenes import World, WorldSamples
 from sphericalvision.scenes.cache import ArrayCache
@@ -100,7 +100,7 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
     prepared as in use, and averaged where they are finer than the icosphere.
 
     A batch of training has rigs of as many cameras each. In training, the world is turned by random multiples of 72
-    degrees, and half of the samples are mirrored.
+    degrees, and half of the samples on icospheres are mirrored.
     The cache keeps, too, what a network computes of samples before anything that is trained.
 
     Without a cache a device may be faster than what renders. With ``uses``, it then takes a batch again, turned and
@@ -109,6 +109,7 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
     Args:
         world: what comes how often, and faults, as ``conf/world/random_rigs.yaml``.
         image_size: height and width of the cameras.
+        num_cameras: of random rigs; level rings have four.
         levels: of icospheres that training samples are on, for a network that is to serve several: its own when not
             given. Validation and tests are at the network's own level.
         uses: how often a training batch is used at most, while the next is not ready.
@@ -120,11 +121,13 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
 
     world: dict[str, Any]
     image_size: Size = (256, 256)
+    num_cameras: Annotated[list[Annotated[int, Ge(2)]], MinLen(1)] = field(
+        default_factory=lambda: [2, 3, 4, 5, 6]
+    )
     levels: dict[int, LevelSamples] | None = None
     uses: Count = 1
 
     of_training = (*RenderedDataModule.of_training, "levels", "uses")
-    augmentation = (Mirror(0.5), RotateFivefold())
     made_before = ("val",)
     net: ClassVar[DepthNetwork | None] = None
 
@@ -132,14 +135,24 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
         """Give samples on the network's icospheres, and keep what it computes of them before anything trained.
 
         Raises:
-            ArgumentError: the network is not one on icospheres, or its nearest hypothesis is not 0.55 m.
+            ArgumentError: the network takes another number of cameras, or its nearest hypothesis is not 0.55 m; or
+                there are several levels for a network that is not on icospheres.
         """
-        check_on_icospheres(net, "random rigs")
+        if not net.any_cameras and set(self.num_cameras) != {net.num_cameras}:
+            raise ArgumentError(
+                f"data.num_cameras: {type(net).__name__} takes rigs of {net.num_cameras} cameras alone, and these have "
+                f"{', '.join(map(str, self.num_cameras))}; set data.num_cameras=[{net.num_cameras}]"
+            )
+        if self.levels is not None and net.images != "sphere":
+            raise ArgumentError(
+                f"data.levels: expected none for {type(net).__name__}, which takes the cameras' images, got "
+                f"{', '.join(map(str, self.levels))}; set data.levels=null"
+            )
         if abs(net.min_depth / NATURAL_MIN_DEPTH - 1) > 1e-6:
             raise ArgumentError(
                 f"model.min_depth: random rigs are in scenes of natural size, for 0.55 m, got {net.min_depth}"
             )
-        super().bind_network(net, depth_level=depth_level)
+        super().bind_network(net, *(entry for entry in more if entry != "fisheye"), depth_level=depth_level)
         self.net = net  # type: ignore[misc]
 
     def __post_init__(self) -> None:
@@ -155,7 +168,9 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
 
     def rigs(self, size: Sequence[int]) -> LevelOrRandomRigs:
         """What draws rigs of cameras of a size."""
-        return LevelOrRandomRigs(self.world["level_rigs"], (int(size[0]), int(size[1])))
+        return LevelOrRandomRigs(
+            self.world["level_rigs"], (int(size[0]), int(size[1])), tuple(self.num_cameras)
+        )
 
     def world_of(self, size: Sequence[int]) -> World:
         """The world through cameras of a size."""
@@ -166,6 +181,11 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
             samples_per_pixel=self.samples_per_pixel,
             draws=by_purpose,
         )
+
+    def augmentation(self, generator: torch.Generator | None = None) -> Callable[[Sample], Sample]:
+        """Turns by multiples of 72 degrees; on icospheres mirror images, too."""
+        turned = RotateFivefold(generator)
+        return turned if self.view.images else Compose(Mirror(0.5, generator), turned)
 
     def plain(self, split: str) -> Dataset[Sample]:
         """Samples of one split as they are kept."""
@@ -214,8 +234,7 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
         if self.uses == 1:
             return loader
         generator = torch.Generator().manual_seed(self.seed)
-        change = Compose(Mirror(0.5, generator), RotateFivefold(generator))
-        return ReusedBatches(loader, self.uses, change, pinned=loader.pin_memory)
+        return ReusedBatches(loader, self.uses, self.augmentation(generator), pinned=loader.pin_memory)
 
 
 def fingerprint(net: DepthNetwork) -> str:

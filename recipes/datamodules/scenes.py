@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Annotated, ClassVar, Literal
 
+import torch
 from annotated_types import Len
 from rich.progress import track
 from torch.utils.data import DataLoader, Dataset, Subset
@@ -68,8 +69,6 @@ class RenderedDataModule(DepthDataModule):
     cache_dir: Text | None = None
 
     of_training = ("seed", "augment")
-    augmentation: ClassVar[tuple[Callable[[Sample], Sample], ...]]
-    """What is done at random to training samples."""
     made_before: ClassVar[tuple[str, ...]] = ("train", "val")
     """Splits that are rendered before training, so that their progress shows; the others as it goes."""
 
@@ -108,7 +107,11 @@ class RenderedDataModule(DepthDataModule):
         samples = self.plain(split)
         if split != "train" or not self.augment:
             return samples
-        return Augmented(samples, Compose(*self.augmentation))
+        return Augmented(samples, self.augmentation())
+
+    def augmentation(self, generator: torch.Generator | None = None) -> Callable[[Sample], Sample]:
+        """What is done at random to training samples. Every subclass implements it."""
+        raise NotImplementedError(f"{type(self).__name__}.augmentation")
 
     def plain_train_dataset(self) -> Dataset[Sample]:
         """Training samples without augmentation."""
@@ -162,7 +165,9 @@ class SceneDataModule(RenderedDataModule):
     carrier: str | None = None
     tilts_deg: Annotated[Sequence[float], Len(2, 2)] | None = None
 
-    augmentation = (RotateFivefold(), PhotometricAugmentation())
+    def augmentation(self, generator: torch.Generator | None = None) -> Callable[[Sample], Sample]:
+        """Turns by multiples of 72 degrees, and other colours."""
+        return Compose(RotateFivefold(generator), PhotometricAugmentation())
 
     def plain(self, split: str) -> WorldSamples:
         """Scenes of one split, as rendered.

@@ -107,10 +107,12 @@ class LevelOrRandomRigs:
     Args:
         level: share of level rings.
         image_size: (height, width) of the cameras.
+        num_cameras: of ``random_rig``, numbers to choose from.
     """
 
     level: float
     image_size: tuple[int, int]
+    num_cameras: tuple[int, ...] = (2, 3, 4, 5, 6)
 
     def kind(self, generator: torch.Generator) -> tuple[int, bool]:
         """The number of cameras of the rig that a generator stands for, and whether they are panoramas.
@@ -119,10 +121,10 @@ class LevelOrRandomRigs:
         """
         if torch.rand((), generator=generator) < self.level:
             return 4, False
-        count, *_, panoramic = _ring_of_cameras(generator)
+        count, *_, panoramic = _ring_of_cameras(generator, self.num_cameras)
         return count, panoramic
 
     def __call__(self, generator: torch.Generator) -> CameraRig:
         if torch.rand((), generator=generator) < self.level:
             return ring_rig(4, 0.2, self.image_size, math.radians(220))
-        return random_rig(generator, image_size=self.image_size)
+        return random_rig(generator, self.num_cameras, image_size=self.image_size)

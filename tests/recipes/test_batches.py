@@ -16,7 +16,7 @@ from sphericalvision.cameras import CameraRig, EquirectangularCamera, ring_rig
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import collate_samples
 from sphericalvision.losses import depth_index_huber
-from sphericalvision.models import DepthNetwork, IcoSweepNet, OmniMVS, RefinedSweepNet
+from sphericalvision.models import DepthNetwork, IcoSweepNet, OmniMVS, RefinedSweepNet, RomniStereo
 from sphericalvision.models.refinedsweepnet import PRIOR
 from sphericalvision.recipes.datamodules.base import TrainingBatches, TrainingStream
 from sphericalvision.recipes.datamodules.random_rigs import RandomRigDataModule
@@ -25,6 +25,7 @@ from sphericalvision.recipes.training.rig_tables import RigTables, stacked_table
 from tests.worlds import RANDOM_RIGS
 
 SIZE = (24, 48)
+LEVELS: Any = {3: {"share": 1.0, "batch_size": 1, "image_size": (16, 16)}}
 
 
 def refined(train_prior: bool = False) -> RefinedSweepNet:
@@ -240,3 +241,37 @@ def test_batches_of_random_rigs_have_as_many_cameras_each() -> None:
     first = next(iter(loader.batch_sampler or ()))
     assert batch["images"].shape[:2] == (3, data.group(stream.index_at(first[0]))[1])
     assert data.loader(data.dataset("val")).batch_size == 1
+
+
+@pytest.mark.parametrize(
+    ("make", "numbers"),
+    [
+        (partial(OmniMVS, 8, 0.55, 2, 3, (20, 40), 3, aggregation="variance", num_scales=2), [2, 5]),
+        (partial(RomniStereo, 16, 0.55, 2, (10, 20), 3, iterations=1), [4]),
+    ],
+    ids=["omnimvs", "romnistereo"],
+)
+def test_networks_on_panoramas_learn_from_random_rigs(
+    make: Callable[[], DepthNetwork], numbers: list[int]
+) -> None:
+    options: dict[str, Any] = {"world": {**RANDOM_RIGS, "level_rigs": 0.0}, "image_size": (32, 32)}
+    data = RandomRigDataModule(num_train=6, batch_size=2, num_cameras=numbers, **options)
+    net = make()
+    data.bind_network(net)
+    module = DepthModule(net, depth_index_huber, torch.optim.SGD, lambda optimizer: optimizer)
+    module.log = lambda *_, **__: None  # type: ignore[method-assign,assignment]
+    for batch in islice(data.train_dataloader(), 2):
+        assert batch["fisheye"].shape[1] in numbers
+        assert batch["rig"].positions.shape[:2] == batch["fisheye"].shape[:2]
+        module.training_step(batch, 0).backward()
+    gradients = torch.cat([p.grad.flatten() for p in net.parameters() if p.grad is not None])
+    assert gradients.isfinite().all()
+    assert gradients.abs().max() > 0
+    with pytest.raises(ArgumentError, match=r"data\.levels: expected none for"):
+        RandomRigDataModule(levels=LEVELS, num_cameras=numbers, **options).bind_network(net)
+
+
+def test_rigs_of_other_numbers_of_cameras_are_refused() -> None:
+    data = RandomRigDataModule(world=RANDOM_RIGS)
+    with pytest.raises(ArgumentError, match=r"RomniStereo takes rigs of 4 .* data.num_cameras=\[4\]"):
+        data.bind_network(RomniStereo(16, 0.55, 2, (10, 20)))

@@ -77,9 +77,9 @@ def override_message(error: Exception, command: str, words: Sequence[str]) -> st
         known_keys = [name for name in _keys_with(command, choices) if "._" not in name]
         group = key.partition(".")[0]
         having = [
-            choice
-            for choice in (f"{group}={option}" for option in _options(group, command) if group in groups)
-            if key in _keys_with(command, [*choices, choice])
+            f"{group}={option}"
+            for option in (_options(group, command) if group in groups else ())
+            if key in _keys_with(f"{group}/{option}")  # alone: a whole command for each would take seconds
         ]
         if having or key in keys_of(compose(command)):  # of other options
             others = f" (it is a key of {', '.join(having)})" if having else ""
@@ -100,10 +100,10 @@ def override_message(error: Exception, command: str, words: Sequence[str]) -> st
     return f"{text}; {program} --help lists groups with their options, and keys"
 
 
-def _keys_with(command: str, choices: Sequence[str]) -> Sequence[str]:
-    """Keys of a command with these options of groups; none where an option takes a group away."""
+def _keys_with(config_name: str, choices: Sequence[str] = ()) -> Sequence[str]:
+    """Keys of a command, or of an option alone, with these options of groups; none where they do not fit."""
     try:
-        return list(keys_of(compose(command, list(choices))))
+        return list(keys_of(compose(config_name, list(choices))))
     except HydraException:
         return []
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import os
 from pathlib import Path
@@ -30,6 +31,15 @@ REGISTRIES = (
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)  # a run fails by a change alone
 settings.load_profile("repeatable")
+
+
+gc.disable()  # until all tests are collected: nothing of what is imported meanwhile goes again
+
+
+def pytest_collection_finish() -> None:
+    """Keep modules and tests, millions of objects, out of the garbage collector's sight: they live until the end."""
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

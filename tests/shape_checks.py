@@ -104,17 +104,26 @@ def described(value: Any) -> str:
     return repr(value)
 
 
+@functools.cache
+def holder(kind: type) -> type | None:
+    """What values of a type are to ``looks``: a tensor, or a mapping or sequence of values; None for all others."""
+    return next((base for base in (Tensor, Mapping, tuple, list) if issubclass(kind, base)), None)
+
+
 def looks(value: Any, deepest: int = 6) -> Any:
     """All that a check looks at of a value: of tensors kind and shape, of others what they are.
 
-    Lists of damaged files may hold themselves, so there is an end to it.
+    Lists of damaged files may hold themselves, so there is an end to it. It is asked of every call of the package.
     """
-    if isinstance(value, Tensor):
+    kind = type(value)
+    held = holder(kind)
+    if held is None:
+        return kind
+    if held is Tensor:
         return value.dtype, value.shape
-    if deepest and isinstance(value, tuple | list | Mapping):
-        parts = value.values() if isinstance(value, Mapping) else value
-        return type(value), *(looks(part, deepest - 1) for part in parts)
-    return type(value)
+    if not deepest:
+        return kind
+    return kind, *[looks(part, deepest - 1) for part in (value.values() if held is Mapping else value)]
 
 
 class Contract:

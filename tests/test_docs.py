@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 import os
 import re
@@ -18,12 +19,19 @@ from tests.documented import FENCE, HIDDEN, PAGES, ROOT, visible_python
 
 BLOCK_WIDTH = 84
 """Letters of a line of code that a window of 1280 pixels shows."""
+LONG = ("guide/predictor", "tutorials/360-camera", "tutorials/moving-camera", "tutorials/segmentation")
+LONG_PAGES = [ROOT / "docs" / f"{name}.md" for name in LONG]
+"""Pages whose Python takes five to ten seconds: `make test-all` runs it, the quick tests what it imports."""
 
 
 @pytest.mark.usefixtures("copied_registries")
 @pytest.mark.parametrize(
     "page",
-    [page for page in PAGES if next(visible_python(page), None) is not None],
+    [
+        pytest.param(page, marks=[pytest.mark.slow] * (page in LONG_PAGES))
+        for page in PAGES
+        if next(visible_python(page), None) is not None
+    ],
     ids=lambda page: page.relative_to(ROOT).as_posix(),
 )
 def test_python_of_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -35,6 +43,14 @@ def test_python_of_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.Mon
         if title.endswith(".py"):  # a file that a command line of the page takes, and tries
             continue
         exec(compile(source, f"{page.name}, block {number}", "exec"), namespace)
+
+
+@pytest.mark.parametrize("page", LONG_PAGES, ids=lambda page: page.stem)
+def test_python_of_a_long_page_imports_what_is_there(page: Path) -> None:
+    for _, source in visible_python(page):
+        program = ast.parse(source)
+        program.body = [node for node in program.body if isinstance(node, ast.Import | ast.ImportFrom)]
+        exec(compile(program, page.name, "exec"), {})
 
 
 @pytest.mark.parametrize("page", sorted((ROOT / "docs").rglob("*.md")), ids=lambda page: page.stem)

@@ -26,6 +26,12 @@ def modules() -> dict[str, Path]:
     return found
 
 
+@cache
+def trees() -> dict[str, ast.Module]:
+    """Every file of the package, parsed."""
+    return {module: ast.parse(path.read_text()) for module, path in modules().items()}
+
+
 def imported(tree: ast.AST) -> Iterator[tuple[str, str]]:
     """Module and name of every ``from module import name``; of ``import module`` with an empty name."""
     for node in ast.walk(tree):
@@ -64,11 +70,7 @@ def private_crossings(module: str, tree: ast.AST) -> Iterator[str]:
 
 
 def test_no_private_name_crosses_a_folder() -> None:
-    found = [
-        crossing
-        for module, path in modules().items()
-        for crossing in private_crossings(module, ast.parse(path.read_text()))
-    ]
+    found = [crossing for module, tree in trees().items() for crossing in private_crossings(module, tree)]
     assert not found, "make the name public in its folder, or move what needs it:\n" + "\n".join(found)
 
 
@@ -93,14 +95,13 @@ def private_uses(tree: ast.AST) -> Iterator[str]:
 
 
 def test_no_private_member_is_used_from_another_folder() -> None:
-    trees = {module: ast.parse(path.read_text()) for module, path in modules().items()}
     by_folder: dict[str, set[str]] = {}
-    for module, tree in trees.items():
+    for module, tree in trees().items():
         by_folder.setdefault(folder_of(module), set()).update(private_members(tree))
     ours = set().union(*by_folder.values())
     found = [
         f"{module} uses {name}"
-        for module, tree in trees.items()
+        for module, tree in trees().items()
         for name in private_uses(tree)
         if name in ours - by_folder[folder_of(module)]
     ]
@@ -126,8 +127,8 @@ def circle(graph: dict[str, set[str]]) -> list[str]:
 
 def test_imports_go_in_no_circle() -> None:
     graph: dict[str, set[str]] = {module: set() for module in modules()}
-    for module, path in modules().items():
-        for source, name in imported(ast.parse(path.read_text())):
+    for module, tree in trees().items():
+        for source, name in imported(tree):
             target = f"{source}.{name}" if f"{source}.{name}" in graph else source
             if target in graph and target != module:
                 graph[module].add(target)

@@ -25,11 +25,17 @@ QUARTER_TURN = [[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]
 """Takes what is right of the first camera to the front of the second."""
 
 
+DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # ten times as fast, where libyaml is there
+
+
+def dumped(content: Any, name: str) -> str:
+    """Keys with values as JSON or YAML, by the name of the file."""
+    return json.dumps(content) if name.endswith("json") else yaml.dump(content, None, DUMPER, sort_keys=False)
+
+
 def dump(path: Path, content: Any) -> Path:
     """Write keys with values as JSON or YAML."""
-    path.write_text(
-        json.dumps(content) if path.suffix == ".json" else yaml.safe_dump(content, sort_keys=False)
-    )
+    path.write_text(dumped(content, path.name))
     return path
 
 

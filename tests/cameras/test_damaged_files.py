@@ -7,7 +7,6 @@ Keys and values are replaced or gone; ``tests/test_generated_files.py`` replaces
 from __future__ import annotations
 
 import copy
-import json
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
@@ -37,6 +36,7 @@ from tests.cameras.calibration_samples import (
     camodocal_kannala_brandt,
     camodocal_pinhole,
     camodocal_scaramuzza,
+    dumped,
     gyroflow,
     kalibr,
     mc_calib,
@@ -119,10 +119,7 @@ CONTENTS: dict[str, Callable[[], dict[str, Any]]] = {
     ),
 }
 TEXTS: dict[str, str] = {
-    **{
-        name: json.dumps(make()) if name.endswith("json") else yaml.safe_dump(make())
-        for name, make in CONTENTS.items()
-    },
+    **{name: dumped(make(), name) for name, make in CONTENTS.items()},
     "cameras.txt": COLMAP,
     "calib_cam_to_cam.txt": KITTI,
     "image001.xmp": REALITY_CAPTURE,
@@ -239,7 +236,7 @@ def test_anything_in_place_of_a_value(data: st.DataObject) -> None:
             inner[last] = copy.deepcopy(data.draw(st.sampled_from(JUNK)))
         if not places(content):
             break
-    survives(json.dumps(content) if name.endswith("json") else yaml.safe_dump(content), name)
+    survives(dumped(content, name), name)
 
 
 NEEDED = {
@@ -269,10 +266,20 @@ NEEDED = {
 UNNEEDED = {"config", "dataset", "img_dir", "invalid_mask", "version", "format", "name", "cam_id"}
 UNNEEDED |= {"inv_poly", "max_fov", "model"}
 """Keys of the files below that may say anything, or nothing: all others are needed, with all that they hold."""
+WHOLE = [*NEEDED, "config.yaml", "basalt.json", "rig.yaml"]
 
 
-@pytest.mark.parametrize("name", [*NEEDED, "config.yaml", "basalt.json", "rig.yaml"])
-@pytest.mark.parametrize("junk", ["words", None, [], {}, float("nan")], ids=repr)
+DELETED = "deleted"
+
+
+@pytest.mark.parametrize(
+    ("name", "junk"),
+    [
+        *((name, junk) for name in WHOLE for junk in ("words", None, [], {}, float("nan"))),
+        *((name, DELETED) for name in NEEDED),
+    ],
+    ids=repr,
+)
 def test_needed_values_are_refused_by_name(name: str, junk: Any) -> None:
     """Not only no raw error: a file in which something needed is broken is never read."""
     intact = CONTENTS[name]()
@@ -280,19 +287,17 @@ def test_needed_values_are_refused_by_name(name: str, junk: Any) -> None:
     for *way, last in places(intact):
         if UNNEEDED & {*way, last} if keys is None else last not in keys:
             continue
-        for delete in (False, True) if keys else (False,):
-            content: Any = copy.deepcopy(intact)
-            inner = content
-            for key in way:
-                inner = inner[key]
-            if delete:
-                del inner[last]
-            else:
-                inner[last] = junk
-            text = json.dumps(content) if name.endswith("json") else yaml.safe_dump(content)
-            with written(text, name) as path, pytest.raises(FileFormatError) as caught:
-                read_everything(path)
-            assert str(path) in str(caught.value)
+        content: Any = copy.deepcopy(intact)
+        inner = content
+        for key in way:
+            inner = inner[key]
+        if junk is DELETED:
+            del inner[last]
+        else:
+            inner[last] = junk
+        with written(dumped(content, name), name) as path, pytest.raises(FileFormatError) as caught:
+            read_everything(path)
+        assert str(path) in str(caught.value)
 
 
 @pytest.mark.parametrize("damage", ["nan 0 0", "0 0", "2 0 0", "words 0 0"])

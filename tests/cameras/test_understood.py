@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import copy
-import json
 import re
 import warnings
 from collections.abc import Iterator
@@ -32,6 +31,7 @@ from sphericalvision.core import ArgumentError, FileFormatError, SphericalVision
 from tests.cameras.calibration_samples import (
     MRCAL,
     dump,
+    dumped,
     kalibr,
     svo_of_one,
     transforms,
@@ -121,21 +121,17 @@ COMPLETE_WITHOUT = {  # keys of which the rest is a file as its producers write 
 }
 
 
-def write(content: Any, name: str) -> str:
-    return json.dumps(content) if name.endswith("json") else yaml.safe_dump(content)
-
-
 @pytest.mark.parametrize("name", CONTENTS)
 def test_each_key_is_understood_or_refused_by_name(tmp_path: Path, name: str) -> None:
     path, content = tmp_path / name, CONTENTS[name]()
-    path.write_text(write(content, name))
+    dump(path, content)
     intact = read(path)
     assert not isinstance(intact, str), intact
     if isinstance(content, dict):
-        path.write_text(write({"_source": "a comment, as JSON has it", **content}, name))
+        dump(path, {"_source": "a comment, as JSON has it", **content})
         assert same(intact, read(path))
     for kind, last, key, damaged in damages(content):
-        path.write_text(write(damaged, name))
+        dump(path, damaged)
         found = read(path)
         told = f"{kind}: {last} {key}: {found}"
         if isinstance(found, str):
@@ -233,7 +229,7 @@ def test_each_word_of_colmap_is_understood_or_refused(tmp_path: Path, name: str)
 def test_a_key_that_stands_twice_is_refused(tmp_path: Path, name: str) -> None:
     content = CONTENTS[name]()
     key = next(iter(content))
-    text, more = write(content, name), write({key: changed(content[key])}, name)
+    text, more = dumped(content, name), dumped({key: changed(content[key])}, name)
     twice = f"{text[:-1]}, {more[1:]}" if name.endswith("json") else text + more
     (tmp_path / name).write_text(twice)
     assert f"the key {key!r} stands twice" in str(read(tmp_path / name))

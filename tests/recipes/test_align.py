@@ -15,7 +15,7 @@ from tests.recipes.knocked_capture import KNOCKED, true_rig, write_knocked_captu
 from tests.recipes.tiny import Run
 
 CAPTURE = ("calibration=c/rig.yaml", "images=c/{camera}/{frame:05d}.png")
-WORDS = (*CAPTURE, "num_frames=3")
+WORDS = (*CAPTURE, "num_frames=2")
 
 
 def angle_deg(one: torch.Tensor, other: torch.Tensor) -> float:

@@ -84,7 +84,7 @@ def of_drive(drive: Path) -> list[str]:
         f"calibration={drive}/rig.yaml",
         f"images={drive}/drive",
         f"poses={drive}/poses.txt",
-        *("output=out", "outputs=[npz]", "height=16", "device=cpu", *COARSE),
+        *("output=out", "outputs=[npz]", "height=16", "device=cpu", "align=false", *COARSE),
     ]
 
 
@@ -219,7 +219,7 @@ def test_a_rig_that_moves_sees_more_than_one_that_stands(
         return RigTurns.undecided(predictor.rig, "it is not asked for here")
 
     monkeypatch.setattr("sphericalvision.recipes.commands.predict.align_rig", align)
-    run("predict", *of_drive(drive), "masks=auto")
+    run("predict", *of_drive(drive), "align=true", "masks=auto")
     assert compared == [(TWO.names, 3)]  # of the rig's own frames, as what follows
     said = " ".join(capsys.readouterr().out.split())
     assert "1 frame(s) have no pose within 20 ms" in said
@@ -308,7 +308,7 @@ def test_one_camera_of_a_rig_needs_movement_and_frames_are_those_of_all_cameras(
 def test_frames_become_one_cloud_which_a_continuation_goes_on_with(
     run: Run, drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = [*of_drive(drive), "window=2", "outputs=[fused]", "align=false", "photometric=false"]
+    words = [*of_drive(drive), "window=2", "outputs=[fused]", "photometric=false"]
     run("predict", *words)
     whole = (tmp_path / "out/fused.ply").read_bytes()
     assert "points of 3 frame(s), one for each cube of 35.0 cm" in " ".join(capsys.readouterr().out.split())

@@ -101,6 +101,7 @@ def test_a_capture_becomes_depth_within_the_band(run: Run, tmp_path: Path) -> No
         "output=out",
         "height=32",
         "device=cpu",
+        "align=false",
     )
     arrays = np.load(tmp_path / "out/depth.npz")
     assert arrays["index"].shape == (16 * 64,)

@@ -99,14 +99,13 @@ def test_skies_are_those_of_outdoors_in_other_colours_at_the_same_depth() -> Non
 
 
 def test_patchworks_are_open_or_closed_and_seen_from_any_height() -> None:
-    down = torch.stack([ray_depth(make_scene("patchwork", k), ORIGIN, DOWN[None]) for k in range(60)])
-    up = torch.stack([ray_depth(make_scene("patchwork", k), ORIGIN, UP[None]) for k in range(60)])
+    scenes = [make_scene("patchwork", seed) for seed in range(60)]
+    down, up = (torch.stack([ray_depth(scene, ORIGIN, way[None]) for scene in scenes]) for way in (DOWN, UP))
     assert 0.25 < up.isinf().float().mean() < 0.55
     assert down.min() >= 0.6
     assert (down < 0.9).any()
     assert (down > 3).any()
-    lamps = [len(make_scene("patchwork", k).lamps.position) for k in range(60)]
-    assert set(lamps) == {0, 1, 2}
+    assert {len(scene.lamps.position) for scene in scenes} == {0, 1, 2}
 
 
 def test_rough_places_are_caves_and_slopes_without_anything_level_or_upright() -> None:

@@ -65,12 +65,12 @@ def rays(camera: FisheyeCamera | EquirectangularCamera) -> Tensor:
 @pytest.mark.parametrize("kind", scene_kinds())
 def test_depth_is_that_of_testing_everything(kind: str) -> None:
     scene = make_scene(kind, 3)
-    directions = rays(FisheyeCamera.from_field_of_view((96, 96), math.radians(220)))
+    directions = rays(FisheyeCamera.from_field_of_view((64, 64), math.radians(220)))
     origin = torch.tensor([0.2, 0.0, 0.1])
     expected = dense(scene.primitives, origin, directions).amin(0)
     depth = ray_depth(scene, origin, directions)
     close = torch.isclose(depth.double(), expected, rtol=1e-4, atol=1e-4)
-    assert close.float().mean() > 0.9995  # rays through edges, by rounding
+    assert close.float().mean() > 0.999  # rays through edges, by rounding
 
 
 @pytest.mark.parametrize("kind", scene_kinds())
@@ -78,7 +78,7 @@ def test_depth_is_that_of_testing_everything(kind: str) -> None:
 def test_light_is_that_of_tracing_every_shadow_ray(kind: str, seed: int) -> None:
     """Points as a camera sees them, in its packets: most on several primitives."""
     scene = make_scene(kind, seed)
-    columns = packed(rays(FisheyeCamera.from_field_of_view((64, 64), math.radians(200))).T.contiguous())
+    columns = packed(rays(FisheyeCamera.from_field_of_view((48, 48), math.radians(200))).T.contiguous())
     distance, row = first_hits(scene.primitives, RayPackets(ORIGIN[:, None, None], columns))
     met = row >= 0
     position = distance.masked_fill(~met, 1.0) * columns

@@ -12,7 +12,6 @@ import yaml
 from sphericalvision.cameras import CameraRig
 from sphericalvision.data import SampleView
 from sphericalvision.scenes import World, WorldSamples
-from sphericalvision.scenes.draws import by_purpose
 from sphericalvision.scenes.random_rigs import LevelOrRandomRigs
 from sphericalvision.scenes.samples import recorded_sample
 
@@ -48,7 +47,7 @@ def random_rigs(
     """Samples through random rigs with small images, at level 3."""
     chosen = dict(values)
     rigs = LevelOrRandomRigs(chosen.pop("level_rigs"), (24, 24))
-    world = World.of(chosen, rig=rigs, draws=by_purpose, prepare=prepare)
+    world = World.of(chosen, rig=rigs, prepare=prepare)
     view = SampleView(3, 3, antialias=True)
     return WorldSamples(world, view, range(first_seed, first_seed + number), cache_dir)
 

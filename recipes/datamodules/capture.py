@@ -34,7 +34,6 @@ from sphericalvision.recipes.datamodules.entries import check_on_icospheres
 from sphericalvision.scenes import World, WorldSamples
 from sphericalvision.scenes.cache import decode, encode
 from sphericalvision.scenes.disturbances import RandomFaults
-from sphericalvision.scenes.draws import by_seed_and_globally
 from sphericalvision.scenes.world import HELD_OUT_SEED, NATURAL_MIN_DEPTH
 from sphericalvision.sphere.intake import as_photographs
 
@@ -59,7 +58,7 @@ class LabelledFrame(NamedTuple):
 def rehearsed_world(
     rig: CameraRig, grey: float, preparation: Preparation, values: Mapping[str, Any]
 ) -> World:
-    """Scenes of all kinds as a rig would see them; what one shows is its seed's, its faults are others each time.
+    """Scenes of all kinds as a rig would see them.
 
     Args:
         rig: in metres in which 0.55 is the nearest hypothesis, its images not larger than needed.
@@ -69,7 +68,7 @@ def rehearsed_world(
     """
     chosen = {name: value for name, value in values.items() if name != "level_rigs"}
     chosen["faults"] = {**values["faults"], "grey": grey}
-    return World.of(chosen, rig=rig, prepare=preparation.of_images, draws=by_seed_and_globally)
+    return World.of(chosen, rig=rig, prepare=preparation.of_images)
 
 
 @dataclass(eq=False, repr=False, kw_only=True)

@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
-import hashlib
 import random
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import torch
 from annotated_types import Ge, MinLen
@@ -21,45 +20,16 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import RotateFivefold
 from sphericalvision.data.augmentation.fivefold import Mirror
 from sphericalvision.data.augmentation.transforms import Compose
-from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.kinds import STRICT, Count, Share, Size
 from sphericalvision.recipes.datamodules.ahead import ReusedBatches
 from sphericalvision.recipes.datamodules.base import PreparedSamples, Sample
 from sphericalvision.recipes.datamodules.scenes import RenderedDataModule
 from sphericalvision.scenes import World, WorldSamples
-from sphericalvision.scenes.cache import ArrayCache
-from sphericalvision.scenes.draws import by_purpose
+from sphericalvision.scenes.draws import Draws
 from sphericalvision.scenes.random_rigs import LevelOrRandomRigs
 from sphericalvision.scenes.world import NATURAL_MIN_DEPTH
 
 __all__ = ["RandomRigDataModule"]
-
-
-class WithFixedInputs(Dataset[Sample]):
-    """Samples, and what a network computes of them before anything that is trained.
-
-    Args:
-        scenes: the samples.
-        net: whose ``fixed_inputs`` are wanted; its state says which folder below that of the samples they are in.
-    """
-
-    def __init__(self, scenes: WorldSamples, net: DepthNetwork) -> None:
-        self.scenes, self.net = scenes, net
-        folder = scenes.cache.folder
-        self.cache = ArrayCache(None if folder is None else folder / f"fixed-{fingerprint(net)}")
-
-    def __len__(self) -> int:
-        return len(self.scenes)
-
-    def __getitem__(self, index: int) -> Sample:
-        sample = self.scenes[index]
-        fixed = self.cache.get(sample["frame"], lambda: self._compute(sample))
-        return {**sample, "fixed": fixed} if fixed else sample
-
-    def _compute(self, sample: Sample) -> dict[str, torch.Tensor]:
-        images, seen = sample["images"][None], sample["seen"][None]
-        inputs = self.net.fixed_inputs(images, sample["rig"], seen)
-        return {name: values[0] for name, values in inputs.items()}
 
 
 @with_config(STRICT)
@@ -101,7 +71,6 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
 
     A batch of training has rigs of as many cameras each. In training, the world is turned by random multiples of 72
     degrees, and half of the samples on icospheres are mirrored.
-    The cache keeps, too, what a network computes of samples before anything that is trained.
 
     Without a cache a device may be faster than what renders. With ``uses``, it then takes a batch again, turned and
     mirrored anew, in place of waiting.
@@ -129,10 +98,9 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
 
     of_training = (*RenderedDataModule.of_training, "levels", "uses")
     made_before = ("val",)
-    net: ClassVar[DepthNetwork | None] = None
 
     def bind_network(self, net: Any, *more: str, depth_level: int | None = None) -> None:
-        """Give samples on the network's icospheres, and keep what it computes of them before anything trained.
+        """Give samples as the network takes them.
 
         Raises:
             ArgumentError: the network takes another number of cameras, or its nearest hypothesis is not 0.55 m; or
@@ -153,7 +121,6 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
                 f"model.min_depth: random rigs are in scenes of natural size, for 0.55 m, got {net.min_depth}"
             )
         super().bind_network(net, *(entry for entry in more if entry != "fisheye"), depth_level=depth_level)
-        self.net = net  # type: ignore[misc]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -179,7 +146,6 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
             rig=self.rigs(size),
             prepare=Preparation(self.photometric).of_images,
             samples_per_pixel=self.samples_per_pixel,
-            draws=by_purpose,
         )
 
     def augmentation(self, generator: torch.Generator | None = None) -> Callable[[Sample], Sample]:
@@ -202,10 +168,7 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
                 for level, part in self.levels.items()
             }
             return SamplesOfLevels(parts, self.level_of)
-        scenes = WorldSamples(self.world_of(self.image_size), view, self.seeds(split), self.cache_dir)
-        if self.net is None or self.cache_dir is None:  # what is not kept is the step's work, on its device
-            return scenes
-        return WithFixedInputs(scenes, self.net)
+        return WorldSamples(self.world_of(self.image_size), view, self.seeds(split), self.cache_dir)
 
     @property
     def level_of(self) -> Callable[[int], int]:
@@ -216,7 +179,7 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
 
     def group(self, index: int) -> tuple[int | None, int, bool]:
         """Level, number of cameras and kind of lens of a training sample."""
-        draws = by_purpose(self.seeds("train")[index])
+        draws = Draws.of(self.seeds("train")[index])
         level = None if self.levels is None else self.level_of(index)
         return (level, *self.rigs(self.image_size).kind(draws.rig))
 
@@ -235,18 +198,6 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
             return loader
         generator = torch.Generator().manual_seed(self.seed)
         return ReusedBatches(loader, self.uses, self.augmentation(generator), pinned=loader.pin_memory)
-
-
-def fingerprint(net: DepthNetwork) -> str:
-    """Eight letters for the parts of a network that are not trained."""
-    shape = {key: value for key, value in net.hyperparameters.items() if key in (net.fixed_by or (key,))}
-    fixed = [f"{type(net).__name__} {shape}".encode()]
-    fixed += [
-        name.encode() + parameter.detach().cpu().numpy().tobytes()
-        for name, parameter in net.named_parameters()
-        if not parameter.requires_grad
-    ]
-    return hashlib.sha256(b"".join(fixed)).hexdigest()[:8]
 
 
 # Functions of the module, as processes of a loader take them along: with a method they would take the trainer, too.

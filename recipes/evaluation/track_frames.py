@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from torch import Tensor
 
+from sphericalvision import __version__
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.capture import Predictor, align_rig
@@ -22,7 +23,7 @@ from sphericalvision.recipes.evaluation.tracks import Track
 from sphericalvision.scenes import render_directions
 from sphericalvision.scenes.cache import ArrayCache
 from sphericalvision.scenes.meshes import mesh_files
-from sphericalvision.scenes.world import GENERATION, NATURAL_MIN_DEPTH, World, WorldFrame, rendered
+from sphericalvision.scenes.world import NATURAL_MIN_DEPTH, World, WorldFrame, rendered
 from sphericalvision.sphere import Equirectangular
 
 __all__ = ["NATURAL_SIZE", "Size", "TrackFrame", "TrackFrames", "aligner", "render_frame"]
@@ -160,7 +161,7 @@ class TrackFrames:
 
 def _rendered(name: str, cache: Path | None, frame: WorldFrame) -> Mapping[str, Tensor]:
     """What the cameras show, by way of bytes, as cameras give them."""
-    numbers = (GENERATION, frame.world.samples_per_pixel, NATURAL_MIN_DEPTH)
+    numbers = (__version__, frame.world.samples_per_pixel, NATURAL_MIN_DEPTH)
     folder = None if cache is None else cache / f"benchmark-{rig_fingerprint(frame.true_rig, numbers)}"
 
     def make() -> dict[str, Tensor]:

@@ -107,12 +107,11 @@ class DepthModule(TrainingModule):
         """The loss of one batch."""
         net, tables, training_loss = self._at_level_of(batch)
         images, seen = images_of(batch, net)
-        fixed = batch.get("fixed")
-        rig = tables.of(batch["rig"], bool(fixed))
+        rig = tables.of(batch["rig"])
         more = {}
         if net.takes_hints and self.shows_hints:
             more["hint"] = simulated_hint(batch["inverse_depth"], batch["valid"], seen)
-        loss: Tensor = training_loss(images, rig, seen, *_target(batch, net), self.loss, fixed, **more)
+        loss: Tensor = training_loss(images, rig, seen, *_target(batch, net), self.loss, **more)
         self.log("train/loss", loss, prog_bar=True, batch_size=len(images))
         return loss
 

@@ -39,18 +39,17 @@ class RigTables:
 
     def __init__(self, net: DepthNetwork, capacity: int = 16) -> None:
         self.net, self.capacity = net, capacity
-        self._tables: dict[tuple[str, str, bool], Any] = {}  # the one used last at the end
+        self._tables: dict[tuple[str, str], Any] = {}  # the one used last at the end
         self._met: set[str] = set()
         self._stream: Any = None
         self._batches = 0
 
-    def of(self, rigs: CameraRig | Sequence[CameraRig], fixed: bool = False) -> Any:
-        """Return what ``net.training_tables`` returns, made only once for equal cameras and poses.
+    def of(self, rigs: CameraRig | Sequence[CameraRig]) -> Any:
+        """Return what ``net.tables`` returns, made only once for equal cameras and poses.
 
         Args:
             rigs: one for all samples, or those of a batch, as ``collate_samples`` has them: a batched rig or a list.
                 Where all are equal, the tables have no batch dimension.
-            fixed: whether the network has ``fixed_inputs`` beside them.
         """
         batch = None
         if isinstance(rigs, CameraRig):
@@ -60,10 +59,10 @@ class RigTables:
         if batch is not None and len(set(names)) > 1 and not self._met.issuperset(names):
             # Rigs that are drawn anew for each sample do not come again: what is kept are those that have.
             self._met.update(names)
-            return self._aside(batch, fixed)
-        return stacked_tables([self._of_one(rig, name, fixed) for rig, name in zip(rigs, names, strict=True)])
+            return self._aside(batch)
+        return stacked_tables([self._of_one(rig, name) for rig, name in zip(rigs, names, strict=True)])
 
-    def _aside(self, batch: CameraRig, fixed: bool) -> Any:
+    def _aside(self, batch: CameraRig) -> Any:
         """Tables of a batch, on a device while it still works on the step before.
 
         Tables are checked and counted on the host, which would otherwise wait for all that the device has to do.
@@ -71,25 +70,25 @@ class RigTables:
         device = self.net.device
         with torch.no_grad():
             if device.type != "cuda":
-                return self.net.training_tables(batch, fixed)
+                return self.net.tables(batch)
             current = torch.cuda.current_stream(device)
             self._stream = self._stream or torch.cuda.Stream(device)
             if self._batches < FIRST_BATCHES:
                 self._stream.wait_stream(current)
             self._batches += 1
             with torch.cuda.stream(self._stream):
-                tables = self.net.training_tables(batch, fixed)
+                tables = self.net.tables(batch)
             current.wait_stream(self._stream)
             for tensor in _tensors(tables):
                 tensor.record_stream(current)
             return tables
 
-    def _of_one(self, rig: CameraRig, name: str, fixed: bool) -> Any:
-        key = (str(self.net.device), name, fixed)
+    def _of_one(self, rig: CameraRig, name: str) -> Any:
+        key = (str(self.net.device), name)
         tables = self._tables.pop(key, None)
         if tables is None:
             with torch.no_grad():
-                tables = self.net.training_tables(rig, fixed)
+                tables = self.net.tables(rig)
         self._tables[key] = tables
         while len(self._tables) > 1 and (
             len(self._tables) > self.capacity

@@ -9,7 +9,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import torch
-from jaxtyping import Bool, Float, Num, Shaped
+from jaxtyping import Bool, Float, Num
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError, check_dtype, check_floating, check_tensor
@@ -158,8 +158,6 @@ class DepthNetwork(RemembersArguments):
     image_channels: tuple[int, ...] = (3,)
     min_depth_follows: ClassVar[Literal["rig", "training", "scene"]] = "rig"
     takes_hints: ClassVar[bool] = False
-    fixed_by: ClassVar[tuple[str, ...] | None] = None
-    """Hyper-parameters that ``fixed_inputs`` depend on, if they do not depend on all."""
 
     def __init__(
         self, num_hypotheses: int, min_depth: float, num_cameras: int, any_cameras: bool = False
@@ -212,7 +210,6 @@ class DepthNetwork(RemembersArguments):
         target: Float[Tensor, " B *grid"],
         valid: Bool[Tensor, " B *grid"],
         loss: Callable[..., Tensor],
-        fixed: Mapping[str, Tensor] | None = None,
         hint: DepthHint | None = None,
     ) -> Float[Tensor, ""]:
         """Return what training makes small: the loss of the index, unless a network wants more.
@@ -220,28 +217,12 @@ class DepthNetwork(RemembersArguments):
         The loss of a batch is the mean of its samples' losses, each with its own rig.
 
         Args:
-            images: as for ``predict``; so are ``rig`` and ``seen``.
-            rig: see there; or ``training_tables``.
-            seen: see there.
+            images: as for ``predict``; so are ``rig``, ``seen`` and ``hint``.
             target: the true index.
             valid: where it is known.
             loss: of index, true index and where that is known.
-            fixed: what ``fixed_inputs`` returned for these images; ``seen`` is given then, too.
-            hint: as for ``predict``.
         """
         return loss(self(images, rig, seen, hint), target, valid)
-
-    def fixed_inputs(
-        self,
-        images: Float[Tensor, "B n C *size"],
-        rig: CameraRig | Any,
-        seen: Bool[Tensor, "B n *size"] | Bool[Tensor, " n *size"] | None = None,
-    ) -> dict[str, Shaped[Tensor, "B ..."]]:
-        """Return what is computed of images before anything that is trained, to be stored with them; most have nothing.
-
-        Values are on icospheres, their last dimension; turns by 72 degrees must turn them as they turn the images.
-        """
-        return {}
 
     def intake(self, rig: CameraRig, antialias: bool = True) -> Intake:
         """Return what makes images of a rig's cameras into those that this network takes.
@@ -258,10 +239,6 @@ class DepthNetwork(RemembersArguments):
     def tables(self, rig: CameraRig) -> Any:
         """Return what may be passed in place of a rig, as often as wanted, to compute once what follows from it."""
         return rig
-
-    def training_tables(self, rig: CameraRig, fixed: bool = False) -> Any:
-        """Return what ``training_loss`` takes in place of a rig: ``tables``, or less where it has ``fixed`` inputs."""
-        return self.tables(rig)
 
     def check_images(
         self,

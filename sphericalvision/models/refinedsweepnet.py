@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, constant_table
@@ -69,7 +69,6 @@ PRIOR = {
     "volume_channels": 8,
 }
 """Hyper-parameters of ``icosweepnet-small`` that its weights depend on."""
-COST_RANGE = 2.5
 DOUBTFUL = 2.0
 """Hypotheses: an answer that is expected to be as far off deserves no confidence."""
 FARTHEST = 0.06
@@ -101,18 +100,6 @@ class RefinedTables(NamedTuple):
         """Return the tables on another device."""
         parts = (self.sweep, self.prior, self.offsets, self.seen)
         return RefinedTables(*(part.to(device) for part in parts))  # type: ignore[arg-type]
-
-
-class LearnedTables(NamedTuple):
-    """What training needs of a rig beside ``RefinedSweepNet.fixed_inputs``.
-
-    Attributes:
-        prior: of the learned prior's sweep; None if the prior does not learn.
-        offsets: ``([B,] n, 3)`` from each camera to the rig's centre, metres.
-    """
-
-    prior: SweepTables | None
-    offsets: Float[Tensor, "*batch n 3"]
 
 
 class RefinedSweepNet(DepthNetwork):
@@ -166,7 +153,6 @@ class RefinedSweepNet(DepthNetwork):
 
     min_depth_follows = "training"
     takes_hints = True
-    fixed_by = ("level", "min_depth", "inner_hypotheses", "prior", "coarse_level")
 
     def __init__(
         self,
@@ -238,13 +224,6 @@ class RefinedSweepNet(DepthNetwork):
         seen = sweep.seen if self.level == self.coarse_level + 1 else seen_in_view(rig, self.level)
         return RefinedTables(sweep, self.prior.tables(rig), _offsets(rig), seen.to(sweep.seen.device))
 
-    def training_tables(self, rig: CameraRig, fixed: bool = False) -> RefinedTables | LearnedTables:
-        """Return ``tables``, or with ``fixed`` inputs what the parts that learn need of a rig."""
-        if not fixed:
-            return self.tables(rig)
-        rig = rig.to(self.device)
-        return LearnedTables(self.prior.tables(rig) if self._prior_learns else None, _offsets(rig))
-
     def predict(
         self,
         images: Float[Tensor, "B n 3 V_image"],
@@ -300,27 +279,14 @@ class RefinedSweepNet(DepthNetwork):
         seen: Bool[Tensor, "B n V_image"],
     ) -> SweepClues:
         """Return what geometry and the prior say. Only the prior has weights here."""
-        geometry = self._geometry(images, tables.sweep, seen)
-        return SweepClues(*geometry, self._prior(images, tables.prior, seen))
-
-    def _geometry(
-        self, images: Tensor, tables: SemiGlobalTables, seen: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """The first four of ``SweepClues``."""
         with torch.no_grad():
-            evidence, cost = semi_global_costs(images, tables.sweep, seen)
+            evidence, cost = semi_global_costs(images, tables.sweep.sweep, seen)
         mean, best, cameras = evidence.unbind(1)
         places = _spread_over(cameras.shape[1], images.device)
-        return cost - cost.amin(1, keepdim=True), best, mean[:, ::2], cameras.index_select(1, places)
-
-    def _prior(self, images: Tensor, tables: SweepTables, seen: Tensor) -> Tensor:
-        """Scores ``(B, N, V)`` of the prior."""
-        swept = self.prior.sweep(self.prior.extract_features(images), tables, seen)
-        return self.prior.regularizer(self.prior.aggregation(swept))  # type: ignore[no-any-return]
-
-    @property
-    def _prior_learns(self) -> bool:
-        return any(parameter.requires_grad for parameter in self.prior.parameters())
+        cost = cost - cost.amin(1, keepdim=True)
+        swept = self.prior.sweep(self.prior.extract_features(images), tables.prior, seen)
+        prior = self.prior.regularizer(self.prior.aggregation(swept))
+        return SweepClues(cost, best, mean[:, ::2], cameras.index_select(1, places), prior)
 
     def fuse(
         self,
@@ -384,39 +350,17 @@ class RefinedSweepNet(DepthNetwork):
         inverse_depth = inverse_depth_from_index(index, self.inner_hypotheses, self.min_depth)
         return appearance_at_depth(images, seen, offsets.expand(images.shape[0], -1, -1), inverse_depth)
 
-    def fixed_inputs(
-        self,
-        images: Float[Tensor, "B n 3 V_image"],
-        rig: CameraRig | RefinedTables,
-        seen: Bool[Tensor, "B n V_image"] | None = None,
-    ) -> dict[str, Shaped[Tensor, "B ..."]]:
-        """Return the clues in a form to be kept, a byte a number; without those of a prior that learns."""
-        tables = rig if isinstance(rig, RefinedTables) else self.tables(rig)
-        with torch.no_grad():
-            images, seen = self.views(images, tables.seen if seen is None else seen)[0]
-            cost, best, mean, cameras = self._geometry(images, tables.sweep, seen)
-            fixed = {
-                "cost": _bytes(cost / COST_RANGE),
-                "best": _bytes(best),
-                "mean": _bytes((mean + 1) / 2),
-                "cameras": cameras.to(torch.uint8),
-            }
-            if not self._prior_learns:
-                fixed["prior"] = self._prior(images, tables.prior, seen).half()
-        return fixed
-
     def training_loss(
         self,
         images: Float[Tensor, "B n 3 V_image"],
-        rig: CameraRig | RefinedTables | LearnedTables,
+        rig: CameraRig | RefinedTables,
         seen: Bool[Tensor, "B n V_image"] | None,
         target: Float[Tensor, "B V_image"],
         valid: Bool[Tensor, "B V_image"],
         loss: Callable[..., Tensor],
-        fixed: Mapping[str, Tensor] | None = None,
         hint: DepthHint | None = None,
     ) -> Float[Tensor, ""]:
-        """Return a loss of the index at all levels, of the logits, of a prior that learns, and of the confidence.
+        """Return a loss of the index at all levels, of the logits, of the prior, and of the confidence.
 
         What fewer than two cameras see counts a quarter, what lies beside an edge three times. The share of the
         logits, fused ones and the prior's, is the cross entropy of the two hypotheses around the true index. Of the
@@ -424,21 +368,10 @@ class RefinedSweepNet(DepthNetwork):
         hypotheses up to two; the sky, where the true index is 0: at infinity. Where there is little of it, behind
         windows, it counts more.
         """
-        tables = rig if isinstance(rig, tuple) else self.training_tables(rig, bool(fixed))
-        if isinstance(tables, RefinedTables):
-            views = self.views(images, tables.seen if seen is None else seen)
-            coarse, coarse_seen = views[0]
-            clues = self.clues(coarse, tables, coarse_seen)
-        elif fixed and seen is not None:
-            views = self.views(images, seen)
-            coarse, coarse_seen = views[0]
-            prior = fixed["prior"] if tables.prior is None else self._prior(coarse, tables.prior, coarse_seen)
-            clues = _from_bytes(fixed, prior)
-        else:
-            raise ArgumentError(
-                "seen, fixed: expected both where training_tables(rig, fixed=True) stand for the rig, got "
-                f"{'no seen' if fixed else 'no fixed'}; pass what fixed_inputs returned and what it was given"
-            )
+        tables = rig if isinstance(rig, RefinedTables) else self.tables(rig)
+        views = self.views(images, tables.seen if seen is None else seen)
+        coarse, coarse_seen = views[0]
+        clues = self.clues(coarse, tables, coarse_seen)
         if hint is None:  # layers for hints have gradients all the same, as several processes want it
             hint = DepthHint(torch.zeros_like(target), torch.zeros_like(target))
         hints = self.hints(hint)
@@ -465,13 +398,11 @@ class RefinedSweepNet(DepthNetwork):
             two_modes(fused.logits)[0], coarse_true, coarse_valid, weights=coarse_weights
         )
         total = total + 0.05 * mean_of_samples(_cross_entropy(fused.logits, coarse_true), coarse_weights)
-        if self._prior_learns:
-            prior_level = self.coarse_level - 1
-            ids = ids_of_coarser_level(self.coarse_level, prior_level, true.device)
-            # The prior tries no hypotheses between the N.
-            entropy = _cross_entropy(clues.prior.float(), at_level(prior_level)[0] / 2)
-            total = total + PRIOR_SHARE * mean_of_samples(entropy, coarse_weights[:, ids])
-        return total
+        prior_level = self.coarse_level - 1
+        ids = ids_of_coarser_level(self.coarse_level, prior_level, true.device)
+        # The prior tries no hypotheses between the N.
+        entropy = _cross_entropy(clues.prior.float(), at_level(prior_level)[0] / 2)
+        return total + PRIOR_SHARE * mean_of_samples(entropy, coarse_weights[:, ids])
 
 
 @constant_table
@@ -510,15 +441,6 @@ def _edge_weights(true: Tensor, valid: Tensor) -> Tensor:
 def _cross_entropy(logits: Tensor, index: Tensor) -> Tensor:
     """``(B, V)`` of logits ``(B, 2 N - 1, V)`` and the two tried hypotheses around an index, in proportion."""
     return -at_index(logits.log_softmax(1), index)
-
-
-def _bytes(values: Tensor) -> Tensor:
-    return (values * 255).round().clamp(0, 255).to(torch.uint8)
-
-
-def _from_bytes(fixed: Mapping[str, Tensor], prior: Tensor) -> SweepClues:
-    cost, best, mean = (fixed[name].float() / 255 for name in ("cost", "best", "mean"))
-    return SweepClues(cost * COST_RANGE, best, mean * 2 - 1, fixed["cameras"].float(), prior.float())
 
 
 register_network("refinedsweepnet", RefinedSweepNet)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import torch
@@ -144,7 +144,6 @@ class RomniStereo(DepthNetwork):
         target: Float[Tensor, "B h w"],
         valid: Bool[Tensor, "B h w"],
         loss: Callable[..., Tensor],
-        fixed: Mapping[str, Tensor] | None = None,
         hint: DepthHint | None = None,
     ) -> Float[Tensor, ""]:
         """Return the loss of every iteration, the later the heavier; arguments as in ``DepthNetwork``."""

@@ -13,12 +13,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from sphericalvision import __version__
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.scenes.carriers import CARRIERS, Carried, carrier_masks, with_carrier
 from sphericalvision.scenes.disturbances import DISPLAY, CameraDisturbance, RandomFaults, turned_poses
-from sphericalvision.scenes.draws import Draws, by_seed
+from sphericalvision.scenes.draws import Draws, choose
 from sphericalvision.scenes.meshes import MeshFiles
 from sphericalvision.scenes.procedural import (
     exposed,
@@ -35,15 +36,12 @@ from sphericalvision.scenes.rendering.scene import Scene
 
 __all__ = [
     "CLEAR_RADIUS",
-    "GENERATION",
     "HELD_OUT_SEED",
     "NATURAL_MIN_DEPTH",
     "World",
     "WorldFrame",
 ]
 
-#: Raised whenever the recipes or the renderer change what a seed looks like, so that old caches are not read.
-GENERATION = 3
 #: Scenes of this seed and above are kept for comparing methods: no training, validation or test of one uses them.
 HELD_OUT_SEED = 10_000_000
 #: Least depth, and free space around the rig, of scenes at their natural scale (metres).
@@ -83,7 +81,6 @@ class World:
         faults: of the cameras.
         prepare: makes of a rig and its images those that are used, as the network will have them in use.
         samples_per_pixel: rays through each pixel.
-        draws: where randomness comes from.
         render: images without faults.
 
     Raises:
@@ -111,7 +108,6 @@ class World:
     faults: CameraDisturbance | RandomFaults = field(default_factory=CameraDisturbance)
     prepare: Callable[[CameraRig, Images], Images] | None = None
     samples_per_pixel: int = 1
-    draws: Callable[[int], Draws] = by_seed
     render: Callable[[WorldFrame], Images] = rendered
 
     def __post_init__(self) -> None:
@@ -173,7 +169,8 @@ class World:
     def fingerprint(self, *more: object) -> str:
         """Sixteen characters that change with everything but the meshes, which tell themselves by names of frames.
 
-        Arguments that are left out play no part, so that one more argument leaves what was kept valid.
+        They change with the version of this package, as recipes and renderer may; arguments that are left out play no
+        part.
 
         Args:
             more: whatever else tells fingerprints apart, by its ``repr``.
@@ -191,7 +188,7 @@ class World:
             for name, value in values.items()
             if value != getattr(usual, name)
         }
-        content = (GENERATION, changed, more)
+        content = (__version__, changed, more)
         if isinstance(self.rig, CameraRig):
             return rig_fingerprint(self.rig, content)
         return sha256(repr((self.rig, content)).encode()).hexdigest()[:16]
@@ -205,7 +202,7 @@ class WorldFrame:
     """What one seed stands for in a world. Each part is made once, when it is first asked for."""
 
     def __init__(self, world: World, seed: int) -> None:
-        self.world, self.seed, self.draws = world, seed, world.draws(seed)
+        self.world, self.seed, self.draws = world, seed, Draws.of(seed)
 
     @cached_property
     def kind(self) -> str:
@@ -213,7 +210,7 @@ class WorldFrame:
         if isinstance(self.world.kind, str):
             return kind_of(self.world.kind, self.seed)
         shares = torch.tensor(list(self.world.kind.values()))
-        return list(self.world.kind)[self.draws.choose(shares, self.draws.kind)]
+        return list(self.world.kind)[choose(shares, self.draws.kind)]
 
     @property
     def name(self) -> str:
@@ -313,9 +310,12 @@ class WorldFrame:
         """The rig with the poses that its calibration has."""
         if not self.faults.pose_error:
             return self.true_rig
-        if self.draws.poses is self.draws.images:
-            _ = self.taken  # draws first from the generator that both share
-        return turned_poses(self.true_rig, self.faults.pose_error, self.draws.poses)
+        images = Draws.of(self.seed).images
+        for (
+            camera
+        ) in self.true_rig.cameras.values():  # blank: what is drawn for them comes first, whatever they show
+            self.faults.image(torch.zeros(3, *camera.image_size), camera, images)
+        return turned_poses(self.true_rig, self.faults.pose_error, images)
 
     @cached_property
     def rig(self) -> CameraRig:

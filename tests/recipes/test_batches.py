@@ -87,24 +87,14 @@ def module_of(net: DepthNetwork, compile: str | None = None) -> DepthModule:
     return module
 
 
-def with_fixed_inputs(net: DepthNetwork, sample: dict[str, Any]) -> dict[str, Any]:
-    """A sample with what a loader keeps beside it."""
-    fixed = net.fixed_inputs(sample["images"][None], sample["rig"], sample["seen"][None])
-    return {**sample, "fixed": {key: values[0] for key, values in fixed.items()}}
-
-
-@pytest.mark.parametrize(
-    ("name", "fixed"), [*((name, False) for name in NETWORKS), *((name, True) for name in list(NETWORKS)[2:])]
-)
+@pytest.mark.parametrize("name", NETWORKS)
 def test_loss_and_gradients_of_a_batch_are_the_mean_of_its_samples(
-    name: str, fixed: bool, generator: torch.Generator
+    name: str, generator: torch.Generator
 ) -> None:
     torch.manual_seed(0)
     net = NETWORKS[name]().double().train()
     module = module_of(net)
     samples = samples_of(net, generator)
-    if fixed:
-        samples = [with_fixed_inputs(net, sample) for sample in samples]
     results = []
     for batches in ([[sample] for sample in samples], [samples]):
         net.zero_grad()

@@ -25,7 +25,7 @@ from sphericalvision.recipes.datamodules.random_rigs import LevelSamples, Random
 from sphericalvision.recipes.training.depth_module import DepthModule
 from sphericalvision.recipes.training.rig_tables import RigTables, _tensors
 from sphericalvision.recipes.training.schedule import CosineToTheEnd, progress_only
-from sphericalvision.scenes.draws import by_purpose
+from sphericalvision.scenes.draws import Draws
 from sphericalvision.scenes.random_rigs import random_rig
 from tests.worlds import RANDOM_RIGS
 
@@ -92,7 +92,7 @@ def test_groups_are_those_of_the_rigs() -> None:
     data = data_of(network())
     for index in range(40):
         _, number, panoramic = data.group(index)
-        rig = data.rigs((24, 24))(by_purpose(index).rig)
+        rig = data.rigs((24, 24))(Draws.of(index).rig)
         cameras = list(rig.cameras.values())
         assert (number, panoramic) == (len(cameras), "Equirectangular" in type(cameras[0]).__name__)
 

@@ -20,7 +20,6 @@ from sphericalvision.icosphere.topology import level_from_num_vertices
 __all__ = ["Mirror", "RotateFivefold", "moved_on_icosphere", "rotate_fivefold"]
 
 ON_ICOSPHERE = ("images", "seen", "inverse_depth", "valid")
-BY_NAME = ("fixed",)
 ON_PANORAMA = ("panorama_inverse_depth", "panorama_valid")
 
 
@@ -39,20 +38,16 @@ def rotate_fivefold(values: Shaped[Tensor, "*values V"], steps: int) -> Shaped[T
 
 def moved_on_icosphere(sample: dict[str, Any], move: Callable[[Tensor], Tensor]) -> dict[str, Any]:
     """Return the entries of a sample that lie on an icosphere, of any level, after ``move``."""
-    moved: dict[str, Any] = {key: move(sample[key]) for key in ON_ICOSPHERE if key in sample}
-    for key in BY_NAME:
-        if key in sample:
-            moved[key] = {name: move(values) for name, values in sample[key].items()}
-    return moved
+    return {key: move(sample[key]) for key in ON_ICOSPHERE if key in sample}
 
 
 class RotateFivefold:
     """Augmentation of a sample: the world, rig included, turned by a multiple of 72 degrees about the vertical.
 
-    Nothing is interpolated: values on the icosphere (``images``, ``seen``, ``inverse_depth``, ``valid``, and all of
-    ``fixed``) move from chart to chart, panoramas (``panorama_inverse_depth``, ``panorama_valid``) by whole columns.
-    The cameras' own images (``fisheye``, ``fisheye_seen``) stay, since they turn with the world. Whichever of these a
-    sample has, all networks see the same turns.
+    Nothing is interpolated: values on the icosphere (``images``, ``seen``, ``inverse_depth``, ``valid``) move from
+    chart to chart, panoramas (``panorama_inverse_depth``, ``panorama_valid``) by whole columns. The cameras' own images
+    (``fisheye``, ``fisheye_seen``) stay, since they turn with the world. Whichever of these a sample has, all networks
+    see the same turns.
 
     Args:
         generator: source of the random choice; torch's own when not given.
@@ -102,9 +97,9 @@ def _turned(rig: CameraRig, steps: int) -> CameraRig:
 class Mirror:
     """Augmentation of a sample on the icosphere: left and right of the world exchanged, rig included.
 
-    The icosphere maps onto itself, so nothing is interpolated: ``images``, ``seen``, ``inverse_depth``, ``valid`` and
-    all of ``fixed`` move to where their mirror image is. Cameras keep their models, so lenses must be symmetrical, as
-    those of ``random_rig`` are; images of the cameras themselves and masks would have to be flipped, and are refused.
+    The icosphere maps onto itself, so nothing is interpolated: ``images``, ``seen``, ``inverse_depth`` and ``valid``
+    move to where their mirror image is. Cameras keep their models, so lenses must be symmetrical, as those of
+    ``random_rig`` are; images of the cameras themselves and masks would have to be flipped, and are refused.
 
     Args:
         share: how often a sample is mirrored, 0 to 1.

@@ -255,8 +255,7 @@ def directions_from_longitude_latitude(
     for name, angle in (("longitude", longitude), ("latitude", latitude)):
         check_tensor(name, angle, "(*)")
         check_floating(name, angle)
-    longitude, latitude = torch.broadcast_tensors(longitude, latitude)
-    flat = torch.cos(latitude)
+    flat = torch.cos(latitude)  # of as many as there are: a grid has one latitude a row
     return from_components(flat * torch.sin(longitude), -torch.sin(latitude), flat * torch.cos(longitude))
 
 

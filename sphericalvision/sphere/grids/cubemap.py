@@ -7,9 +7,15 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.core import check_last_dim, full_precision
-from sphericalvision.geometry import normalize
-from sphericalvision.geometry.directions import check_directions, safe_sqrt
+from sphericalvision.core import check_floating, check_last_dim
+from sphericalvision.geometry.directions import (
+    check_directions,
+    components,
+    from_components,
+    has_numbers,
+    moderate_lengths,
+    safe_sqrt,
+)
 from sphericalvision.sphere.grids.cube_layouts import CUBE_FACES, world_from_cube_face
 from sphericalvision.sphere.grids.cube_padding import faces_continued
 from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels
@@ -82,18 +88,18 @@ class Cubemap(GridModule):
         count = self.size * samples
         tangent = (2 * torch.arange(count, dtype=torch.float64, device=device) + 1 - count) / count
         y, x = torch.meshgrid(tangent, tangent, indexing="ij")
-        rays = torch.stack((x, y, torch.ones_like(x)), -1) @ world_from_cube_face(
-            torch.float64, device
-        ).mT.unsqueeze(1)
-        lengths = rays.norm(dim=-1, keepdim=True)
-        rays = torch.cat((rays / lengths, lengths**-3), -1)  # a step in the plane is so much of solid angle
-        rays = rays.view(6, self.size, samples, self.size, samples, 4).transpose(2, 3)
-        rays = rays.reshape(-1, samples**2, 4)
-        shares = rays[..., 3] / rays[..., 3].sum(-1, keepdim=True)
+        y, x = (
+            side.unflatten(1, (-1, samples)).unflatten(0, (-1, samples)).transpose(1, 2).flatten()
+            for side in (y, x)
+        )
+        lengths = (x * x + y * y + 1).sqrt()
+        face = from_components(x / lengths, y / lengths, 1 / lengths)
+        rays = face @ world_from_cube_face(torch.float64, device).mT
+        solid = (lengths**-3).view(-1, samples**2)  # a step in the plane is so much of solid angle
+        shares = (solid / solid.sum(-1, keepdim=True)).repeat(6, 1)
         dtype = dtype or self.directions.dtype
-        return rays[..., :3].to(dtype), shares.to(dtype)
+        return rays.view(-1, samples**2, 3).to(dtype), shares.to(dtype)
 
-    @full_precision
     def face_coordinates(
         self, directions: Float[Tensor, "*batch 3"]
     ) -> tuple[Int[Tensor, "*batch"], Float[Tensor, "*batch 2"]]:
@@ -105,10 +111,15 @@ class Cubemap(GridModule):
             (1, tensor([0.0000, 0.5000]))
         """
         check_last_dim("directions", directions, 3)
-        world_from_face = world_from_cube_face(directions.dtype, directions.device)
-        face = (directions.detach() @ world_from_face[..., 2].T).argmax(-1)
-        local = (directions.unsqueeze(-2) @ world_from_face[face]).squeeze(-2)
-        return face, local[..., :2] / local[..., 2:]
+        x, y, z = components(moderate_lengths(directions))
+        # Opposite faces have the same quotients, which leaves three kinds. On an edge the first of the faces is meant.
+        sideways = (x.abs() > z.abs()) | ((x.abs() == z.abs()) & (x > z))
+        level = torch.where(sideways, x, z)
+        vertical = y.abs() > level.abs()
+        right = torch.where(sideways & ~vertical, -z, x) / torch.where(vertical, y.abs(), level)
+        down = torch.where(vertical, -z, y) / torch.where(vertical, y, level.abs())
+        face = torch.where(vertical, 4 + (y > 0).long(), sideways.long() + 2 * (level < 0).long())
+        return face, from_components(right, down)
 
     def nearest(self, directions: Float[Tensor, "*batch 3"]) -> Int[Tensor, "*batch"]:
         """Return the index ``(*)`` of the pixel that contains each direction ``(*, 3)``.
@@ -141,9 +152,9 @@ class Cubemap(GridModule):
 
         Differentiable in the directions ``(*, 3)``.
         """
-        face, tangents = self.face_coordinates(normalize(directions))
-        pixels = _lattice(tangents, self.size)
-        return mosaic_pixels(face, pixels + 1, 6, self.size + 2)
+        check_floating("directions", directions)
+        face, tangents = self.face_coordinates(directions)
+        return mosaic_pixels(face, _lattice(tangents, self.size) + 1, 6, self.size + 2)
 
     def extra_repr(self) -> str:
         return f"size={self.size}"
@@ -155,6 +166,16 @@ def _lattice(tangents: Tensor, size: int) -> Tensor:
     Across the edge x = 1 the ring's pixels are the mirror images of the face's own. In the plane x + z = 2 both lie
     on a rectangular lattice: there a point of this face is at 2 y / (x + 1) along the edge.
     """
+    inside = (tangents + 1) * (size / 2) - 0.5
+    outer = (tangents.abs() > 1 - 1 / size).any(-1)
+    if not has_numbers(outer):
+        return torch.where(outer.unsqueeze(-1), _across_edges(tangents, size), inside)
+    places = outer.nonzero(as_tuple=True)  # few
+    return inside.index_put(places, _across_edges(tangents[places], size))
+
+
+def _across_edges(tangents: Tensor, size: int) -> Tensor:
+    """Of ``_lattice``, what lies beyond the centres of a face's outermost pixels."""
     half = 1 / size  # a pixel
     limit = 1 - half
     x, y = tangents.unbind(-1)
@@ -166,15 +187,12 @@ def _lattice(tangents: Tensor, size: int) -> Tensor:
         beyond = torch.where(across < 0, -share, size - 1 + share)
         return (outward > limit) & (along.abs() <= limit), beyond, (along + 1) * (size / 2) - 0.5
 
-    u, v = ((tangents + 1) * (size / 2) - 0.5).unbind(-1)
     sideways, u_sideways, v_sideways = strip(x, y)
     below, v_below, u_below = strip(y, x)
-    corner = (x.abs() > limit) & (y.abs() > limit) & ~sideways & ~below
     a, b = _corner_shares(x.abs(), y.abs(), limit)
-    u_corner = torch.where(x < 0, -a, size - 1 + a)
-    v_corner = torch.where(y < 0, -b, size - 1 + b)
-    u = torch.where(corner, u_corner, torch.where(sideways, u_sideways, torch.where(below, u_below, u)))
-    v = torch.where(corner, v_corner, torch.where(sideways, v_sideways, torch.where(below, v_below, v)))
+    u_corner, v_corner = torch.where(x < 0, -a, size - 1 + a), torch.where(y < 0, -b, size - 1 + b)
+    u = torch.where(sideways, u_sideways, torch.where(below, u_below, u_corner))
+    v = torch.where(sideways, v_sideways, torch.where(below, v_below, v_corner))
     return torch.stack((u, v), -1)
 
 

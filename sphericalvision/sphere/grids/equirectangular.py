@@ -16,7 +16,7 @@ from sphericalvision.geometry import (
     directions_from_longitude_latitude,
     longitude_latitude_from_directions,
 )
-from sphericalvision.geometry.directions import check_directions
+from sphericalvision.geometry.directions import check_directions, from_components
 from sphericalvision.geometry.lookup import wrap_panorama
 from sphericalvision.geometry.panorama import (
     ALL_LATITUDES,
@@ -161,13 +161,10 @@ class Equirectangular(GridModule):
         latitude = (height - 1 - 2 * row) * ((top - bottom) / 2 / height) + (bottom + top) / 2
         directions = directions_from_longitude_latitude(longitude, latitude[:, None])
         directions = directions.view(self.height, samples, self.width, samples, 3).transpose(1, 2)
-        shares = latitude.cos().view(-1, 1, samples, 1).expand(-1, self.width, -1, samples)
-        shares = shares.reshape(-1, samples**2)
+        shares = latitude.cos().view(-1, samples).repeat_interleave(samples, 1)  # of a row's cells
+        shares = (shares / shares.sum(-1, keepdim=True)).repeat_interleave(self.width, 0)
         dtype = dtype or self.directions.dtype
-        return (
-            directions.reshape(-1, samples**2, 3).to(dtype),
-            (shares / shares.sum(-1, keepdim=True)).to(dtype),
-        )
+        return directions.reshape(-1, samples**2, 3).to(dtype), shares.to(dtype)
 
     def pixels(self, directions: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 2"]:
         """Return the pixel coordinates (u, v) ``(*, 2)`` of directions ``(*, 3)``; integers are pixel centres.
@@ -181,7 +178,7 @@ class Equirectangular(GridModule):
         east = longitude_within(longitude, self.longitudes) - (left + right) / 2
         u = east * (self.width / (right - left)) + (self.width - 1) / 2
         v = (self.height - 1) / 2 - (latitude - (bottom + top) / 2) * (self.height / (top - bottom))
-        return torch.stack((u, v), -1)
+        return from_components(u, v)
 
     def contains(self, directions: Float[Tensor, "*batch 3"]) -> Bool[Tensor, "*batch"]:
         """Whether directions ``(*, 3)`` are within the panorama's limits, its edges included ``(*)``.
@@ -259,15 +256,14 @@ class Equirectangular(GridModule):
         Differentiable in the directions ``(*, 3)``.
         """
         check_floating("directions", directions)
-        x, y, z = directions.unbind(-1)
-        # At a pole the longitude turns without end, though the picture hardly does: there its derivative is left out.
-        at_pole = torch.hypot(x, z).detach() < (1e-3 * self._pixel[0]) * y.detach().abs()
-        x, z = (torch.where(at_pole, side.detach(), side) for side in (x, z))
-        u = self.pixels(torch.stack((x, y, z), -1))[..., 0]
-        v = self.pixels(directions)[..., 1]
+        u, v = self.pixels(directions).unbind(-1)
+        if u.requires_grad:
+            # At a pole the longitude turns without end, though the picture hardly does: its derivative is left out.
+            x, y, z = directions.detach().unbind(-1)
+            u = torch.where(torch.hypot(x, z) < (1e-3 * self._pixel[0]) * y.abs(), u.detach(), u)
         if goes_around(self.longitudes):
-            u = torch.remainder(u + 0.5, self.width) - 0.5
-        return torch.stack((u, v), -1)
+            u = torch.where(u > self.width - 0.5, u - self.width, u)
+        return from_components(u, v)
 
     def _interpolated(self, values: Tensor, directions: Tensor) -> Tensor:
         if not goes_around(self.longitudes):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 
-import torch
 from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 from torch.nn import functional as F
@@ -42,8 +41,8 @@ def mosaic_pixels(
         [0.5, 5.0]
     """
     columns = _columns(count)
-    row = torch.div(tile, columns, rounding_mode="floor")
-    return pixels + torch.stack((tile - row * columns, row), -1) * side
+    corners = [(side * (index % columns), side * (index // columns)) for index in range(count)]
+    return pixels + pixels.new_tensor(corners)[tile]
 
 
 def _columns(count: int) -> int:

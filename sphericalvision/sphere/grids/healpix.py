@@ -11,7 +11,13 @@ from torch import Tensor
 
 from sphericalvision.core import check_choice, check_last_dim
 from sphericalvision.geometry import longitude_latitude_from_directions, normalize
-from sphericalvision.geometry.directions import check_directions, safe_hypot
+from sphericalvision.geometry.directions import (
+    check_directions,
+    components,
+    from_components,
+    moderate_lengths,
+    safe_hypot,
+)
 from sphericalvision.geometry.lookup import weighted_sums
 from sphericalvision.sphere.grids.healpix_pixels import (
     direction_of_place,
@@ -155,9 +161,10 @@ class Healpix(GridModule):
         """
         check_last_dim("directions", directions, 3)
         check_choice("interpolation", interpolation, ("healpy", "chords"))
-        unit = normalize(directions)
-        longitude, _ = longitude_latitude_from_directions(unit)
-        theta = torch.atan2(safe_hypot(unit[..., 0], unit[..., 2]), -unit[..., 1])
+        flat = directions.reshape(-1, 3)
+        longitude, _ = longitude_latitude_from_directions(flat)
+        x, y, z = components(moderate_lengths(flat))
+        theta = torch.atan2(safe_hypot(x, z), -y)
         chords = interpolation == "chords"
         last = 4 * self.nside - 1
         above = self._ring_above(theta.detach())
@@ -166,23 +173,23 @@ class Healpix(GridModule):
                 into_next = theta >= self._on_ring(above + 1, longitude, chords)[2]
                 into_previous = theta < self._on_ring(above, longitude, chords)[2]
             above = (above + into_next.long() - into_previous.long()).clamp(0, last)
-        ids_above, weights_above, theta_above = self._on_ring(above, longitude, chords)
-        ids_below, weights_below, theta_below = self._on_ring(above + 1, longitude, chords)
-        below = ((theta - theta_above) / (theta_below - theta_above)).unsqueeze(-1)
-
-        # The pole's share goes to all four pixels of its ring: the two found, and the two opposite.
-        north, south = (above == 0).unsqueeze(-1), (above == last).unsqueeze(-1)
-        first = self.num_pixels - 4
-        quarter = torch.full_like(weights_above, 0.25)
-        opposite_above = torch.where(north, ids_below ^ 2, ids_above)  # 0 and 2 lie opposite, and 1 and 3
-        opposite_below = torch.where(south, first + ((ids_above - first) ^ 2), ids_below)
-        weights_above = torch.where(north, quarter, weights_above)
-        weights_below = torch.where(south, quarter, weights_below)
-        ids = torch.cat((opposite_above, opposite_below), -1)
-        weights_above = weights_above * (1 - below) + torch.where(south, below / 4, 0.0)
-        weights_below = weights_below * below + torch.where(north, (1 - below) / 4, 0.0)
-        weights = torch.cat((weights_above, weights_below), -1)
-        return nested_from_ring(ids, self.nside) if self.nested else ids, weights
+        ids_above, share_above, theta_above = self._on_ring(above, longitude, chords)
+        ids_below, share_below, theta_below = self._on_ring(above + 1, longitude, chords)
+        below = (theta - theta_above) / (theta_below - theta_above)
+        north, south = ((above == end).to(theta.dtype) for end in (0, last))
+        pole = (north * (1 - below) + south * below) / 4  # its share goes to all four pixels of its ring
+        weight_above, weight_below = (1 - below) * (1 - north), below * (1 - south)
+        weights = from_components(
+            weight_above * (1 - share_above) + pole,
+            weight_above * share_above + pole,
+            weight_below * (1 - share_below) + pole,
+            weight_below * share_below + pole,
+        )
+        ids = torch.stack((*ids_above, *ids_below), -1)
+        if self.nested:
+            ids = nested_from_ring(ids, self.nside)
+        shape = (*directions.shape[:-1], 4)
+        return ids.view(shape), weights.view(shape)
 
     def taps(
         self, directions: Float[Tensor, "*batch 3"]
@@ -192,24 +199,33 @@ class Healpix(GridModule):
 
     def _ring_above(self, theta: Tensor) -> Tensor:
         """The last ring, 0 (the pole) to ``4 * nside - 1``, whose angle is not more than theta."""
-        thetas = self._rings(theta)[-1][1:-1]
-        return torch.searchsorted(thetas, theta.contiguous(), right=True)
+        thetas, last = self._rings(theta)[-1], 4 * self.nside - 1
+        # Looked up by parts of the angle narrower than rings are apart, so that it is this one or the next.
+        parts = 6 * self.nside
+        starts = torch.arange(parts + 1, device=theta.device).to(theta.dtype) * (math.pi / parts)
+        first = torch.searchsorted(thetas[1:-1].contiguous(), starts - 0.01 / parts, right=True)
+        ring = first.index_select(0, (theta * (parts / math.pi)).long().clamp(0, parts))
+        return (ring + (theta >= thetas.index_select(0, ring + 1)).long()).clamp(max=last)
 
-    def _rings(self, like: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Of each ring from pole to pole: first pixel, number of pixels, shift, angle from the north pole.
+    def _rings(self, like: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """Of each ring from pole to pole: first pixel, number of pixels, shift, pixels to skip, angle from the north.
 
-        Many directions share few rings: looked up, these cost a fraction of what they do computed for each.
+        Many directions share few rings: looked up, these cost a fraction of what they do computed for each. A pole has
+        the pixels of the ring around it, seen from behind.
         """
         ring = torch.arange(4 * self.nside + 1, device=like.device)
-        of_pixels = ring_start_count_shift(ring.clamp(1, 4 * self.nside - 1), self.nside)
-        return *of_pixels, ring_theta(ring, self.nside, like.dtype)
+        start, count, shift = ring_start_count_shift(ring.clamp(1, 4 * self.nside - 1), self.nside)
+        behind = 2 * (ring % (4 * self.nside) == 0)
+        return start, count, shift, behind, ring_theta(ring, self.nside, like.dtype)
 
-    def _on_ring(self, ring: Tensor, longitude: Tensor, chords: bool) -> tuple[Tensor, Tensor, Tensor]:
-        """Two pixels of a ring beside a longitude, their weights ``(*, 2)``, and the angle ``(*)`` from the north pole.
+    def _on_ring(
+        self, ring: Tensor, longitude: Tensor, chords: bool
+    ) -> tuple[tuple[Tensor, Tensor], Tensor, Tensor]:
+        """Two pixels of rings ``(n,)`` beside longitudes, the second's share, and the angle from the north pole.
 
-        For a pole (ring 0 and ``4 * nside``) only the angle is meant.
+        A ring's angle differs from one longitude to the next where it is a polygon of chords.
         """
-        start, count, shift, theta = (part[ring] for part in self._rings(longitude))
+        start, count, shift, behind, theta = (part.index_select(0, ring) for part in self._rings(longitude))
         step = (2 * math.pi) / count.to(longitude.dtype)
         position = longitude / step - 0.5 * shift
         first = position.detach().floor()
@@ -220,11 +236,9 @@ class Healpix(GridModule):
             inside = (ring > 0) & (ring < 4 * self.nside)
             theta = torch.where(inside, torch.atan2(radius, theta.cos()), theta)
             share = before / (before + after)
-        first = first.nan_to_num().long()  # a number of the ring, whatever the direction
-        first = torch.where(first < 0, first + count, first)
-        second = torch.where(first + 1 == count, 0, first + 1)
-        ids = torch.stack((start + first, start + second), -1)
-        return ids, torch.stack((1 - share, share), -1), theta
+        number = first.nan_to_num().long() + behind  # a number of the ring, whatever the direction
+        number = number + count * (number < 0)
+        return (start + number, start + (number + 1) * (number + 1 != count)), share, theta
 
     def _interpolated(self, values: Tensor, directions: Tensor) -> Tensor:
         return weighted_sums(values, *self.locate(directions))

@@ -53,7 +53,7 @@ def test_python_of_a_long_page_imports_what_is_there(page: Path) -> None:
         exec(compile(program, page.name, "exec"), {})
 
 
-@pytest.mark.parametrize("page", sorted((ROOT / "docs").rglob("*.md")), ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_blocks_of_a_page_fit_into_a_window(page: Path) -> None:
     wide = []
     for match in FENCE.finditer(page.read_text()):
@@ -125,6 +125,13 @@ def test_the_search_of_the_site_finds_the_page_that_answers(page: str, searched:
         words = {*re.split(separator, phrase.lower())} - {"a", "against", "from", "of", "to"}
         found = [all(any(w.startswith(word) for w in line) for word in words) for line in headings]
         assert any(found), phrase
+
+
+def test_the_readme_names_the_folders_of_the_tree() -> None:
+    rows = re.findall(r"^\| (`.*?`) \|", (ROOT / "README.md").read_text(), re.MULTILINE)
+    named = [name for row in rows for name in re.findall(r"`(?:sphericalvision/)?([a-z.]+)`", row)]
+    package = {path.parent.name for path in (ROOT / "sphericalvision").glob("*/__init__.py")}
+    assert sorted(named) == sorted(package | {"core.py", "recipes", "conf", "docs", "tests"})
 
 
 def test_relative_links_lead_to_files() -> None:

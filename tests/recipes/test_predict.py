@@ -279,7 +279,6 @@ def test_knocked_cameras_are_turned_and_it_is_said(
     common = [
         f"images={tmp_path}/c/cam{{camera}}/{{frame:05d}}.png",
         "checkpoint=icosweepnet-small",
-        "level=5",
         "outputs=[npz]",
     ]
     rig.to_yaml(tmp_path / "right.yaml")

@@ -3,23 +3,19 @@
 
 from __future__ import annotations
 
-import math
-
-import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from sphericalvision.core import (
     ArgumentError,
     ShapeError,
-    check_channels,
     check_dtype,
     check_tensor,
     in_one_graph,
 )
 from sphericalvision.crown.fast import convolve_rectangles, convolve_vertices
 from sphericalvision.crown.layout import Crown, check_crown, to_crown
-from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, check_hexagon, planar_kernels
+from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, HexagonWeights, planar_kernels
 
 __all__ = ["CrownConv2d", "CrownConv3d", "convolve_crown", "crown_conv2d", "crown_conv3d"]
 
@@ -122,10 +118,8 @@ def convolve_crown(
     return Crown(col, row)
 
 
-class _CrownConv(nn.Module):
+class _CrownConv(HexagonWeights):
     """Weights of a crown convolution."""
-
-    taps: int
 
     def __init__(
         self,
@@ -136,24 +130,7 @@ class _CrownConv(nn.Module):
         *,
         kernel_size: None = None,
     ) -> None:
-        super().__init__()
-        check_channels(in_channels=in_channels, out_channels=out_channels)
-        check_hexagon(stride, kernel_size)
-        self.stride = stride
-        self.weight = nn.Parameter(torch.empty(out_channels, in_channels, self.taps))
-        self.bias = nn.Parameter(torch.empty(out_channels)) if bias else None
-        self.reset_parameters()
-
-    def reset_parameters(self) -> None:
-        """Draw weights as ``torch.nn.Conv2d`` does, for a fan-in of ``in_channels * taps``."""
-        nn.init.kaiming_uniform_(self.weight, a=math.sqrt(5))
-        if self.bias is not None:
-            bound = 1 / math.sqrt(self.weight[0].numel())
-            nn.init.uniform_(self.bias, -bound, bound)
-
-    def extra_repr(self) -> str:
-        out_channels, in_channels, _ = self.weight.shape
-        return f"{in_channels}, {out_channels}, stride={self.stride}, bias={self.bias is not None}"
+        super().__init__(in_channels, out_channels, stride, bias, kernel_size)
 
 
 class CrownConv2d(_CrownConv):

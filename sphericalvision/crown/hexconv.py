@@ -36,12 +36,11 @@ from functools import lru_cache
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from sphericalvision.core import (
     ArgumentError,
     ShapeError,
-    check_channels,
     check_choice,
     check_dtype,
     check_tensor,
@@ -52,7 +51,7 @@ from sphericalvision.crown.by_lookups import Rings, hex_conv_by_lookups
 from sphericalvision.crown.fast import convolve_rectangles
 from sphericalvision.crown.hexpad import fill_charts, hex_pad
 from sphericalvision.crown.places import check_values
-from sphericalvision.crown.taps import COL_TAPS, check_hexagon
+from sphericalvision.crown.taps import COL_TAPS, HexagonWeights
 from sphericalvision.icosphere import icosphere_vertices, level_from_num_vertices
 from sphericalvision.icosphere.topology import coarse_vertex_ids, vertex_at
 
@@ -295,10 +294,9 @@ def _check_conv(values: Tensor, weight: Tensor, spatial_dims: int, stride: int, 
         )
 
 
-class _HexConv(nn.Module):
+class _HexConv(HexagonWeights):
     """Weights and orientation of a hexagonal convolution."""
 
-    taps: int
     north: Tensor | None
 
     def __init__(
@@ -312,35 +310,17 @@ class _HexConv(nn.Module):
         *,
         kernel_size: None = None,
     ) -> None:
-        super().__init__()
+        super().__init__(in_channels, out_channels, stride, bias, kernel_size)
         check_choice("orientation", orientation, ORIENTATIONS)
-        check_channels(in_channels=in_channels, out_channels=out_channels)
-        check_hexagon(stride, kernel_size)
         if orientation == "north" and level is None:
             raise ArgumentError("level: expected the level of the values for orientation 'north', got None")
-        self.stride = stride
-        self.orientation = orientation
-        self.level = level
-        self.weight = nn.Parameter(torch.empty(out_channels, in_channels, self.taps))
-        self.bias = nn.Parameter(torch.empty(out_channels)) if bias else None
+        self.orientation, self.level = orientation, level
         north = north_fraction(level) if orientation == "north" and level is not None else None
         self.register_buffer("north", north, persistent=False)
-        self.reset_parameters()
-
-    def reset_parameters(self) -> None:
-        """Draw weights as ``torch.nn.Conv2d`` does, for a fan-in of ``in_channels * taps``."""
-        nn.init.kaiming_uniform_(self.weight, a=math.sqrt(5))
-        if self.bias is not None:
-            bound = 1 / math.sqrt(self.weight[0].numel())
-            nn.init.uniform_(self.bias, -bound, bound)
 
     def extra_repr(self) -> str:
-        out_channels, in_channels, _ = self.weight.shape
         level = "" if self.level is None else f", level={self.level}"
-        return (
-            f"{in_channels}, {out_channels}, stride={self.stride}, bias={self.bias is not None}, "
-            f"orientation={self.orientation!r}{level}"
-        )
+        return f"{super().extra_repr()}, orientation={self.orientation!r}{level}"
 
 
 class HexConv2d(_HexConv):

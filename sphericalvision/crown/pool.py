@@ -83,7 +83,18 @@ def _check_pool(crown: Crown, stride: int) -> None:
         raise ArgumentError(f"stride: expected 1, or 2 above level 0, got {stride} at level {crown.level}")
 
 
-class CrownMaxPool2d(nn.Module):
+class _CrownPool(nn.Module):
+    """Pooling with a stride."""
+
+    def __init__(self, stride: int = 2) -> None:
+        super().__init__()
+        self.stride = stride
+
+    def extra_repr(self) -> str:
+        return f"stride={self.stride}"
+
+
+class CrownMaxPool2d(_CrownPool):
     """Maximum pooling over a place and its six neighbours; see ``crown_max_pool2d``.
 
     Examples:
@@ -91,18 +102,11 @@ class CrownMaxPool2d(nn.Module):
         CrownMaxPool2d(stride=2)
     """
 
-    def __init__(self, stride: int = 2) -> None:
-        super().__init__()
-        self.stride = stride
-
     def forward(self, crown: Crown) -> Crown:
         return crown_max_pool2d(crown, self.stride)
 
-    def extra_repr(self) -> str:
-        return f"stride={self.stride}"
 
-
-class CrownAvgPool2d(nn.Module):
+class CrownAvgPool2d(_CrownPool):
     """Average pooling over 3 x 3 places; see ``crown_avg_pool2d``.
 
     Examples:
@@ -110,15 +114,8 @@ class CrownAvgPool2d(nn.Module):
         CrownAvgPool2d(stride=2)
     """
 
-    def __init__(self, stride: int = 2) -> None:
-        super().__init__()
-        self.stride = stride
-
     def forward(self, crown: Crown) -> Crown:
         return crown_avg_pool2d(crown, self.stride)
-
-    def extra_repr(self) -> str:
-        return f"stride={self.stride}"
 
 
 def crown_upsample(crown: Crown) -> Crown:

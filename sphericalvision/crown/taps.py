@@ -7,16 +7,19 @@ depends on the kind of rectangle: the taps are the same directions on the sphere
 
 from __future__ import annotations
 
+import math
+
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, by_triton, constant_table
+from sphericalvision.core import ArgumentError, by_triton, check_channels, constant_table
 
 __all__ = [
     "COL_TAPS",
     "ROW_TAPS",
+    "HexagonWeights",
     "Taps",
     "check_hexagon",
     "convolve",
@@ -47,6 +50,34 @@ def check_hexagon(stride: int, kernel_size: object = None) -> None:
         raise ArgumentError(f"kernel_size: expected none, got {kernel_size!r}; {hint}")
     if stride not in (1, 2):
         raise ArgumentError(f"stride: expected 1 or 2, got {stride!r}; {hint}")
+
+
+class HexagonWeights(nn.Module):
+    """Weight ``(out, in, taps)`` and, if there is one, bias of a hexagonal convolution."""
+
+    taps: int
+
+    def __init__(
+        self, in_channels: int, out_channels: int, stride: int, bias: bool, kernel_size: object = None
+    ) -> None:
+        super().__init__()
+        check_channels(in_channels=in_channels, out_channels=out_channels)
+        check_hexagon(stride, kernel_size)
+        self.stride = stride
+        self.weight = nn.Parameter(torch.empty(out_channels, in_channels, self.taps))
+        self.bias = nn.Parameter(torch.empty(out_channels)) if bias else None
+        self.reset_parameters()
+
+    def reset_parameters(self) -> None:
+        """Draw weights as ``torch.nn.Conv2d`` does, for a fan-in of ``in_channels * taps``."""
+        nn.init.kaiming_uniform_(self.weight, a=math.sqrt(5))
+        if self.bias is not None:
+            bound = 1 / math.sqrt(self.weight[0].numel())
+            nn.init.uniform_(self.bias, -bound, bound)
+
+    def extra_repr(self) -> str:
+        out_channels, in_channels, _ = self.weight.shape
+        return f"{in_channels}, {out_channels}, stride={self.stride}, bias={self.bias is not None}"
 
 
 def planar_kernel(weight: Float[Tensor, "*filters 7"], taps: Taps) -> Float[Tensor, "*filters 3 3"]:

@@ -169,8 +169,7 @@ class World:
     def fingerprint(self, *more: object) -> str:
         """Sixteen characters that change with everything but the meshes, which tell themselves by names of frames.
 
-        They change with the version of this package, as recipes and renderer may; arguments that are left out play no
-        part.
+        They change with the version of this package, as recipes and renderer may.
 
         Args:
             more: whatever else tells fingerprints apart, by its ``repr``.
@@ -181,14 +180,9 @@ class World:
             >>> one.fingerprint() == World(ring_rig(3)).fingerprint(), one.fingerprint() == other.fingerprint()
             (True, False)
         """
-        usual = World(self.rig)
-        values = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "meshes"}
-        changed: dict[str, Any] = {
-            name: f"{value.__module__}.{value.__qualname__}" if hasattr(value, "__qualname__") else value
-            for name, value in values.items()
-            if value != getattr(usual, name)
-        }
-        content = (__version__, changed, more)
+        values = [getattr(self, each.name) for each in fields(self) if each.name not in ("meshes", "rig")]
+        plain = [f"{v.__module__}.{v.__qualname__}" if hasattr(v, "__qualname__") else v for v in values]
+        content = (__version__, plain, more)
         if isinstance(self.rig, CameraRig):
             return rig_fingerprint(self.rig, content)
         return sha256(repr((self.rig, content)).encode()).hexdigest()[:16]

@@ -29,9 +29,7 @@ from sphericalvision.cameras.calibration.lenses import (
     models_of,
     numbers_of,
 )
-from sphericalvision.cameras.calibration.parsing import (
-    size_from_width_height,
-)
+from sphericalvision.cameras.calibration.parsing import size_from_width_height
 from sphericalvision.cameras.calibration.poses import quaternion_from_rotation, transform_from_numbers
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import FileFormatError

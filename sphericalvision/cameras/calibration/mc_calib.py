@@ -19,9 +19,7 @@ from sphericalvision.cameras.calibration.contents import Contents, Gathered, Opt
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import distorted
-from sphericalvision.cameras.calibration.parsing import (
-    metres_per,
-)
+from sphericalvision.cameras.calibration.parsing import metres_per
 from sphericalvision.core import ArgumentError, FileFormatError
 
 __all__ = ["contents", "recognizes"]

@@ -18,9 +18,7 @@ from sphericalvision.cameras.calibration.contents import Contents, Gathered, Opt
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys
 from sphericalvision.cameras.calibration.lenses import distorted
-from sphericalvision.cameras.calibration.parsing import (
-    focal_lengths,
-)
+from sphericalvision.cameras.calibration.parsing import focal_lengths
 
 __all__ = ["contents", "recognizes"]
 

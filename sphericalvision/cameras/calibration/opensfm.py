@@ -22,9 +22,7 @@ from sphericalvision.cameras.calibration.contents import Contents, Gathered, Opt
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import distorted
-from sphericalvision.cameras.calibration.parsing import (
-    view_name,
-)
+from sphericalvision.cameras.calibration.parsing import view_name
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.core import FileFormatError, short_repr
 from sphericalvision.geometry import invert_transform, transform_from_axis_angle

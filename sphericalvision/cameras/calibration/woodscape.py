@@ -23,9 +23,7 @@ from sphericalvision.cameras.calibration.contents import Contents, Gathered, Opt
 from sphericalvision.cameras.calibration.files import load
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import Keys
-from sphericalvision.cameras.calibration.parsing import (
-    errors_of_file,
-)
+from sphericalvision.cameras.calibration.parsing import errors_of_file
 from sphericalvision.cameras.calibration.poses import transform_from_numbers
 from sphericalvision.cameras.models.radial_polynomial import RadialPolynomialCamera
 

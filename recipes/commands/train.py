@@ -23,7 +23,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.recipes.app.cli import build, print_config
 from sphericalvision.recipes.app.kinds import STRICT, Count, Number, OnlyWith, Share, Text
 from sphericalvision.recipes.app.words import evaluate_command, resume_command
-from sphericalvision.recipes.datamodules.base import SampleDataModule
+from sphericalvision.recipes.datamodules.data_module import SampleDataModule
 from sphericalvision.recipes.evaluation.tables import save_errors
 from sphericalvision.recipes.training.module import TrainingModule
 from sphericalvision.recipes.training.run_folder import (

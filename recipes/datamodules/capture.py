@@ -29,7 +29,7 @@ from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.captures import AUTO, CaptureFields, with_own_body_masked
 from sphericalvision.recipes.app.cli import console
 from sphericalvision.recipes.app.kinds import Count, Number, Positive, Share
-from sphericalvision.recipes.datamodules.base import PreparedSamples, Sample
+from sphericalvision.recipes.datamodules.data_module import PreparedSamples, Sample
 from sphericalvision.recipes.datamodules.entries import check_on_icospheres
 from sphericalvision.scenes import World, WorldSamples
 from sphericalvision.scenes.cache import decode, encode

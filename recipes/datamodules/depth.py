@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 from sphericalvision.data import SampleView
-from sphericalvision.recipes.datamodules.base import SampleDataModule
+from sphericalvision.recipes.datamodules.data_module import SampleDataModule
 from sphericalvision.recipes.datamodules.entries import Entries, view_of, view_with
 from sphericalvision.scenes.world import NATURAL_MIN_DEPTH
 

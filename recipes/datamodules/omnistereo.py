@@ -16,7 +16,7 @@ from sphericalvision.data import OmniStereoDataset, PhotometricAugmentation, Ran
 from sphericalvision.data.augmentation.transforms import Compose
 from sphericalvision.data.sample_view import ToView
 from sphericalvision.recipes.app.kinds import Text
-from sphericalvision.recipes.datamodules.base import Sample
+from sphericalvision.recipes.datamodules.data_module import Sample
 from sphericalvision.recipes.datamodules.depth import DepthDataModule
 from sphericalvision.recipes.datamodules.entries import Entries
 

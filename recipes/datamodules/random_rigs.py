@@ -22,7 +22,7 @@ from sphericalvision.data.augmentation.fivefold import Mirror
 from sphericalvision.data.augmentation.transforms import Compose
 from sphericalvision.recipes.app.kinds import STRICT, Count, Share, Size
 from sphericalvision.recipes.datamodules.ahead import ReusedBatches
-from sphericalvision.recipes.datamodules.base import PreparedSamples, Sample
+from sphericalvision.recipes.datamodules.data_module import PreparedSamples, Sample
 from sphericalvision.recipes.datamodules.scenes import RenderedDataModule
 from sphericalvision.scenes import World, WorldSamples
 from sphericalvision.scenes.draws import Draws

@@ -19,7 +19,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import PhotometricAugmentation, RotateFivefold
 from sphericalvision.data.augmentation.transforms import Compose
 from sphericalvision.recipes.app.kinds import Count, Number, Positive, Size, Text
-from sphericalvision.recipes.datamodules.base import Sample
+from sphericalvision.recipes.datamodules.data_module import Sample
 from sphericalvision.recipes.datamodules.depth import DepthDataModule
 from sphericalvision.recipes.datamodules.entries import Entries
 from sphericalvision.scenes import World, WorldSamples

@@ -39,7 +39,7 @@ from sphericalvision.sphere.intake import unsigned
 from sphericalvision.sweep import DepthEstimate, index_from_inverse_depth, inverse_depth_from_index
 
 if TYPE_CHECKING:
-    from sphericalvision.recipes.datamodules.base import SampleDataModule
+    from sphericalvision.recipes.datamodules.data_module import SampleDataModule
 
 __all__ = [
     "SCALE",

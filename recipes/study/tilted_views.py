@@ -16,7 +16,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import RotateFisheye, SampleView
 from sphericalvision.data.sample_view import ToView
 from sphericalvision.recipes.app.cli import build
-from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
+from sphericalvision.recipes.datamodules.data_module import Sample, SampleDataModule
 from sphericalvision.recipes.datamodules.depth import DepthDataModule
 from sphericalvision.recipes.datamodules.omnistereo import OmniStereoDataModule
 from sphericalvision.recipes.evaluation.frames import SampleFrames

@@ -16,7 +16,7 @@ from torchmetrics import Metric
 from sphericalvision.core import check_choice
 from sphericalvision.models.sphere_blocks import network_grid
 from sphericalvision.recipes.app.kinds import Count
-from sphericalvision.recipes.datamodules.base import Sample, SampleDataModule
+from sphericalvision.recipes.datamodules.data_module import Sample, SampleDataModule
 from sphericalvision.recipes.training.module import TrainingModule
 
 __all__ = ["OrientationModule", "OrientedDataModule"]

@@ -28,7 +28,7 @@ from sphericalvision.models import DepthNetwork, save_weights
 from sphericalvision.models.weights.registry import network_name
 from sphericalvision.recipes.app.checkpoints import read_checkpoint
 from sphericalvision.recipes.app.help import walk
-from sphericalvision.recipes.datamodules.base import SampleDataModule
+from sphericalvision.recipes.datamodules.data_module import SampleDataModule
 from sphericalvision.recipes.training.module import TrainingModule, name_of
 
 try:

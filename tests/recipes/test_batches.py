@@ -18,7 +18,7 @@ from sphericalvision.data import collate_samples
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import DepthNetwork, IcoSweepNet, OmniMVS, RefinedSweepNet, RomniStereo
 from sphericalvision.models.refinedsweepnet import PRIOR
-from sphericalvision.recipes.datamodules.base import TrainingBatches, TrainingStream
+from sphericalvision.recipes.datamodules.data_module import TrainingBatches, TrainingStream
 from sphericalvision.recipes.datamodules.random_rigs import RandomRigDataModule
 from sphericalvision.recipes.training.depth_module import DepthModule
 from sphericalvision.recipes.training.rig_tables import RigTables, stacked_tables

@@ -17,7 +17,7 @@ from omegaconf import OmegaConf
 
 from sphericalvision.models import load_weights
 from sphericalvision.recipes.app.checkpoints import load_network
-from sphericalvision.recipes.datamodules.base import SampleDataModule, TrainingBatches, TrainingStream
+from sphericalvision.recipes.datamodules.data_module import SampleDataModule, TrainingBatches, TrainingStream
 from sphericalvision.recipes.training.depth_module import METRICS, DepthModule
 from tests.recipes.tiny import Run, command_after
 

@@ -20,7 +20,7 @@ from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import IcoSweepNet, RefinedSweepNet
 from sphericalvision.models.refinedsweepnet import PRIOR
 from sphericalvision.recipes.datamodules.ahead import ReusedBatches
-from sphericalvision.recipes.datamodules.base import TrainingStream
+from sphericalvision.recipes.datamodules.data_module import TrainingStream
 from sphericalvision.recipes.datamodules.random_rigs import LevelSamples, RandomRigDataModule
 from sphericalvision.recipes.training.depth_module import DepthModule
 from sphericalvision.recipes.training.rig_tables import RigTables, _tensors

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.recipes.datamodules.base import TrainingBatches, TrainingStream, even_batches
+from sphericalvision.recipes.datamodules.data_module import TrainingBatches, TrainingStream, even_batches
 from tests.processes import python
 from tests.recipes.tiny import Run
 

@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from sphericalvision.cameras.calibration.files import load, looks_structured
 from sphericalvision.cameras.calibration.formats import file_formats
+from sphericalvision.cameras.calibration.text_files import load, looks_structured
 from sphericalvision.core import FileFormatError, SphericalVisionError
 from tests.readers import READERS, Reader, files
 

@@ -27,8 +27,8 @@ from sphericalvision.cameras import (
 )
 from sphericalvision.cameras.calibration.colmap import write_colmap_model
 from sphericalvision.cameras.calibration.colmap_records import PointRecords
-from sphericalvision.cameras.calibration.files import write_json
 from sphericalvision.cameras.calibration.nerfstudio import nerfstudio_content
+from sphericalvision.cameras.calibration.text_files import write_json
 from sphericalvision.cameras.remapping.lookup import pixels_a_radian
 from sphericalvision.capture.pinhole_twins import pinhole_twins
 from sphericalvision.capture.points import SurfacePoints, grid_faces, hangs_between, surface_normals

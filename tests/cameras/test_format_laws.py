@@ -17,8 +17,8 @@ from sphericalvision.cameras import (
     save_camera,
     save_rig,
 )
-from sphericalvision.cameras.calibration.files import load, looks_structured
 from sphericalvision.cameras.calibration.formats import FileFormat, file_formats, register_format
+from sphericalvision.cameras.calibration.text_files import load, looks_structured
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import invert_transform, transform_from_axis_angle
 from tests.laws.camera_laws import directions_seen

@@ -22,12 +22,12 @@ from typing import Any
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.files import data_lines, load_keys
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys, check_understood
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called
 from sphericalvision.cameras.calibration.ocam_text import make_ocam
 from sphericalvision.cameras.calibration.poses import transform_from_rows
+from sphericalvision.cameras.calibration.text_files import data_lines, load_keys
 from sphericalvision.core import FileFormatError, MissingFileError
 from sphericalvision.io.files import part_of_name
 

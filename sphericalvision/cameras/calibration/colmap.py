@@ -39,7 +39,6 @@ from sphericalvision.cameras.calibration.colmap_records import (
     text_files,
 )
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.files import data_lines, looks_structured
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.lenses import (
     PANORAMA,
@@ -51,6 +50,7 @@ from sphericalvision.cameras.calibration.lenses import (
 )
 from sphericalvision.cameras.calibration.parsing import size_from_width_height, view_name
 from sphericalvision.cameras.calibration.poses import quaternion_from_rotation, transform_from_numbers
+from sphericalvision.cameras.calibration.text_files import data_lines, looks_structured
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, check_file
 from sphericalvision.geometry import invert_transform

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sphericalvision.cameras.calibration.files import data_lines, read_text
 from sphericalvision.cameras.calibration.parsing import numbers
+from sphericalvision.cameras.calibration.text_files import data_lines, read_text
 from sphericalvision.core import FileFormatError
 
 __all__ = [

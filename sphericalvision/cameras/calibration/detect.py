@@ -10,9 +10,9 @@ import torch
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options, joined
-from sphericalvision.cameras.calibration.files import load, looks_structured, read_text
 from sphericalvision.cameras.calibration.formats import FileFormat, file_formats, known_formats
 from sphericalvision.cameras.calibration.keys import Keys, check_understood
+from sphericalvision.cameras.calibration.text_files import load, looks_structured, read_text
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, check_type
 

@@ -16,7 +16,6 @@ import re
 from pathlib import Path
 
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.files import data_lines, looks_structured
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import Keys, check_understood
 from sphericalvision.cameras.calibration.lenses import distorted
@@ -25,6 +24,7 @@ from sphericalvision.cameras.calibration.parsing import (
     size_from_width_height,
 )
 from sphericalvision.cameras.calibration.poses import transform_from_rows
+from sphericalvision.cameras.calibration.text_files import data_lines, looks_structured
 from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import invert_transform
 

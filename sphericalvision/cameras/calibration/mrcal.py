@@ -17,10 +17,10 @@ from pathlib import Path
 import torch
 
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.files import read_text
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import as_keys, check_understood, with_keys
 from sphericalvision.cameras.calibration.lenses import distorted
+from sphericalvision.cameras.calibration.text_files import read_text
 from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import invert_transform, transform_from_axis_angle
 

@@ -25,11 +25,11 @@ from typing import Any
 import torch
 
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.files import load_keys
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys, check_understood
 from sphericalvision.cameras.calibration.ocam_text import check_inverse
 from sphericalvision.cameras.calibration.parsing import errors_of_file
+from sphericalvision.cameras.calibration.text_files import load_keys
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.core import FileFormatError, check_file
 from sphericalvision.geometry import transform_from_quaternion

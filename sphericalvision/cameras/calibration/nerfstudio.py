@@ -22,7 +22,6 @@ from typing import Any
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.files import write_json
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import (
@@ -38,6 +37,7 @@ from sphericalvision.cameras.calibration.parsing import (
     view_name,
 )
 from sphericalvision.cameras.calibration.poses import OPENGL_FROM_OPENCV
+from sphericalvision.cameras.calibration.text_files import write_json
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.io.images import read_mask

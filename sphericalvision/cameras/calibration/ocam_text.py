@@ -15,7 +15,6 @@ import torch
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.files import data_lines, looks_structured, read_text
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.lenses import check_holds, numbers_of
 from sphericalvision.cameras.calibration.parsing import (
@@ -24,6 +23,7 @@ from sphericalvision.cameras.calibration.parsing import (
     numbers,
     size_from_width_height,
 )
+from sphericalvision.cameras.calibration.text_files import data_lines, looks_structured, read_text
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, check_file
 from sphericalvision.geometry import transform_from_axis_angle

@@ -27,7 +27,6 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.files import STRUCTURED, load
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import check_holds, distorted, numbers_of
@@ -48,6 +47,7 @@ from sphericalvision.cameras.calibration.parsing import (
     size_from_width_height,
 )
 from sphericalvision.cameras.calibration.poses import checked_rigid
+from sphericalvision.cameras.calibration.text_files import STRUCTURED, load
 from sphericalvision.cameras.registry import model_meant
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError

@@ -22,12 +22,12 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.files import once, parse_xml, read_text
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import Keys, check_understood, with_keys
 from sphericalvision.cameras.calibration.lenses import Lens
 from sphericalvision.cameras.calibration.parsing import numbers
 from sphericalvision.cameras.calibration.poses import transform_from_rows
+from sphericalvision.cameras.calibration.text_files import once, parse_xml, read_text
 from sphericalvision.core import FileFormatError
 
 __all__ = ["contents", "files_of_rig", "recognizes"]

@@ -20,9 +20,9 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.calibration.colmap_records import images_in
-from sphericalvision.cameras.calibration.files import read_text
 from sphericalvision.cameras.calibration.parsing import numbers, view_name
 from sphericalvision.cameras.calibration.poses import transform_from_numbers, transform_from_rows
+from sphericalvision.cameras.calibration.text_files import read_text
 from sphericalvision.cameras.trajectory import Trajectory
 from sphericalvision.core import FileFormatError, MissingFileError, check_file
 from sphericalvision.geometry import invert_transform

@@ -20,11 +20,11 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.files import load
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.parsing import errors_of_file
 from sphericalvision.cameras.calibration.poses import transform_from_numbers
+from sphericalvision.cameras.calibration.text_files import load
 from sphericalvision.cameras.models.radial_polynomial import RadialPolynomialCamera
 
 __all__ = ["contents", "files_of_rig", "recognizes"]

@@ -25,8 +25,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.cameras.calibration.files import load_keys
 from sphericalvision.cameras.calibration.keys import check_understood
+from sphericalvision.cameras.calibration.text_files import load_keys
 from sphericalvision.core import ArgumentError, FileFormatError, check_choice, check_file, short_repr
 
 __all__ = ["AprilGrid", "Board", "Charuco", "Checkerboard", "Corners", "read_board"]

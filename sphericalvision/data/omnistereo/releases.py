@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path, PurePath
 
-from sphericalvision.cameras.calibration.files import load
+from sphericalvision.cameras.calibration.text_files import load
 from sphericalvision.core import (
     ArgumentError,
     FileFormatError,

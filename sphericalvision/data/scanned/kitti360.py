@@ -16,9 +16,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, Trajectory, read_camera, read_trajectory
-from sphericalvision.cameras.calibration.files import data_lines
 from sphericalvision.cameras.calibration.parsing import numbers
 from sphericalvision.cameras.calibration.poses import transform_from_rows
+from sphericalvision.cameras.calibration.text_files import data_lines
 from sphericalvision.core import FileFormatError, MissingFileError, check_file
 from sphericalvision.data.point_files import read_points
 from sphericalvision.data.scanned.scanned_frames import Sample, ScannedFrames

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, KannalaBrandtCamera
-from sphericalvision.cameras.calibration.files import load
+from sphericalvision.cameras.calibration.text_files import load
 from sphericalvision.core import FileFormatError, check_choice, check_file
 from sphericalvision.data.scanned.scanned_frames import Sample, ScannedFrames, read_raster
 from sphericalvision.data.scanned.spires import OURS_FROM_LIDAR

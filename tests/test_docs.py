@@ -143,6 +143,22 @@ def test_relative_links_lead_to_files() -> None:
     assert not broken, broken
 
 
+def test_every_page_is_two_links_away_from_the_first() -> None:
+    """By links in texts, not in the navigation alone."""
+    docs = ROOT / "docs"
+    reached, last = {docs / "index.md"}, {docs / "index.md"}
+    for _ in range(2):
+        texts = ((page, FENCE.sub("", page.read_text())) for page in last)
+        targets = (
+            (page.parent / target).resolve()
+            for page, text in texts
+            for target in re.findall(r"\]\((?!https?:|mailto:|#)([^)#\s]+\.md)", text)
+        )
+        last = {*targets} - reached
+        reached |= last
+    assert {page.relative_to(docs).as_posix() for page in docs.rglob("*.md") if page not in reached} == set()
+
+
 def test_every_public_name_is_on_one_page_of_the_api(monkeypatch: pytest.MonkeyPatch) -> None:
     """Packages that are described in parts: no part may be forgotten."""
     monkeypatch.syspath_prepend(ROOT / "docs")

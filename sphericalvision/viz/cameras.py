@@ -20,7 +20,7 @@ __all__ = ["angle_map"]
 
 Picture = npt.NDArray[np.uint8]
 
-_DPI = 100
+_DPI = 150
 _SAMPLES = 400  # angles are looked up at so many places along the longer side of the image
 _GREY = "0.82"
 
@@ -66,9 +66,7 @@ def angle_map(
 
     from matplotlib.figure import Figure
 
-    figure = Figure(
-        figsize=(7.2, 7.2 * min(max(height / width, 0.4), 1.6) + 0.6), dpi=_DPI, layout="constrained"
-    )
+    figure = Figure(figsize=(5, 5 * min(max(height / width, 0.4), 1.6) + 0.6), dpi=_DPI, layout="constrained")
     axes = figure.add_subplot()
     axes.set_facecolor(_GREY)
     extent = (-0.5, width - 0.5, height - 0.5, -0.5)

@@ -67,14 +67,14 @@ def _bar(
     for position, text in ticks:
         column = left + round(position * (right - left - 1))
         bar[18:22, column] = 0
-        _write(bar, text.replace("∞", "inf"), column, 35)
-    _write(bar, label, width // 2, 54)
+        _write(bar, text.replace("∞", "inf"), column, 38)
+    _write(bar, label, width // 2, 59)
     return bar
 
 
 def _write(picture: Picture, text: str, middle: int, bottom: int) -> None:
     """Put small black text centred about a column."""
-    font, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.45
+    font, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.6
     extent = cv2.getTextSize(text, font, scale, 1)[0][0]
     cv2.putText(picture, text, (middle - extent // 2, bottom), font, scale, (0, 0, 0), 1, cv2.LINE_AA)
 
@@ -176,7 +176,7 @@ def figure_pixels(figure: Figure) -> Picture:
 
 def _text_row(text: str, width: int) -> Picture:
     """One line of black text on white, ``width`` pixels wide, at least 24 high; long text gets smaller."""
-    font, thickness, scale = cv2.FONT_HERSHEY_SIMPLEX, 1, 0.5
+    font, thickness, scale = cv2.FONT_HERSHEY_SIMPLEX, 1, 0.6
     text = text.encode("ascii", "replace").decode()
     extent = cv2.getTextSize(text, font, scale, thickness)[0][0]
     scale *= min(1.0, (width - 8) / max(extent, 1))

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import io
 import json
 import os
 import re
@@ -22,7 +21,6 @@ import matplotlib
 
 matplotlib.use("Agg")
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 from mkdocs.plugins import event_priority
@@ -36,6 +34,8 @@ GENERATED = ("api/", "recipes/configuration")
 BEGINNING = 240
 """Letters of an entry of the API that are searched: what it is for."""
 NUMBER = r"[-−+±]?[\d.,()%–×]+"
+BRACKETS = r"(<td[^>]*>(?:<strong>)?[-−+±\d.,]+(?: ?%)?(?:</strong>)?) (\([^<>()]*\d[^<>()]*\))</td>"
+"""What stands in brackets after a number in a table."""
 
 
 def on_config(config: object) -> None:
@@ -65,12 +65,13 @@ def source(path: str, language: str = "yaml") -> str:
 def html(picture: np.ndarray | Figure, alt: str) -> str:
     """An RGB picture (h, w, 3) or a figure as HTML; the page's own ``print`` is what markdown-exec collects."""
     if isinstance(picture, Figure):
-        data = io.BytesIO()
-        picture.savefig(data, format="png", dpi=130)
-        plt.close(picture)
-        encoded = data.getvalue()
-    else:
-        encoded = cv2.imencode(".png", picture[..., ::-1])[1].tobytes()
+        from figures import to_html
+
+        for axes in picture.axes:
+            for points in axes.collections:  # may be thousands
+                points.set_rasterized(True)
+        return to_html(picture, alt).replace("drawing", "drawing picture", 1)
+    encoded = cv2.imencode(".png", picture[..., ::-1])[1].tobytes()
     return f'<img class="picture" alt="{alt}" src="data:image/png;base64,{base64.b64encode(encoded).decode()}">'
 
 
@@ -105,7 +106,8 @@ def on_page_markdown(markdown: str, page: Any, **_: object) -> None:
 
 @event_priority(50)  # before the search reads the page
 def on_page_content(content: str, page: Any, **_: object) -> str:
-    """The source of a function is no text that one searches; a wide table scrolls beside its first column."""
+    """The source of a function is no text that one searches; brackets in a table stand below their number."""
+    content = re.sub(BRACKETS, r"\1<small>\2</small></td>", content)
     return content.replace(
         '<details class="mkdocstrings-source"',
         '<details data-search-exclude class="mkdocstrings-source"',

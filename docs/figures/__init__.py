@@ -18,9 +18,19 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 
-__all__ = ["CHARTS", "FAINT", "INK", "MARK", "bare_axes", "new_figure", "to_html"]
+__all__ = [
+    "CHARTS",
+    "FAINT",
+    "INK",
+    "MARK",
+    "bar_below",
+    "bare_axes",
+    "new_figure",
+    "to_html",
+]
 
 #: Stands for the colour of the page's text; ``to_html`` puts that in.
 INK = "#123456"
@@ -32,7 +42,6 @@ MARK = "#e4572e"
 CHARTS = ("#2a9d8f", "#e9b44c", "#5b8fd1", "#e4572e", "#9a6fb0")
 
 STYLE = {
-    "svg.fonttype": "none",
     "font.size": 9.5,
     "text.color": INK,
     "axes.labelcolor": INK,
@@ -65,12 +74,33 @@ def bare_axes(figure: Figure, place: Sequence[float], title: str = "") -> Axes:
     return axes
 
 
+def bar_below(
+    figure: Figure,
+    place: Sequence[float],
+    colors: str,
+    label: str,
+    ticks: Sequence[tuple[float, str]],
+) -> None:
+    """A bar of colours at ``(left, bottom, width, height)``, texts at places from 0 to 1, and a label."""
+    bar = figure.colorbar(
+        ScalarMappable(cmap=colors),
+        cax=figure.add_axes((place[0], place[1], place[2], place[3])),
+        orientation="horizontal",
+    )
+    bar.outline.set_visible(False)
+    bar.set_ticks([at for at, _ in ticks], labels=[text for _, text in ticks])
+    bar.set_label(label, labelpad=1)
+    bar.ax.tick_params(labelsize=9, length=2)
+
+
 def to_html(figure: Figure, alt: str, caption: str = "") -> str:
     """The figure as SVG inside the page; ``alt`` is read to those who do not see it."""
     inches = figure.get_figwidth()
     text = io.StringIO()
-    figure.savefig(text, format="svg")
+    with plt.rc_context({"svg.fonttype": "none"}):
+        figure.savefig(text, format="svg")
     plt.close(figure)
+    plt.rcdefaults()  # pictures that the library draws look as they do elsewhere
     svg = text.getvalue()
     svg = re.sub(
         r"<metadata>.*?</metadata>", "", svg[svg.index("<svg") :], flags=re.DOTALL
@@ -86,7 +116,7 @@ def to_html(figure: Figure, alt: str, caption: str = "") -> str:
     alt = html.escape(alt)
     svg = svg.replace(
         "<svg",
-        f'<svg class="drawing" style="--inches: {inches}" role="img" aria-label="{alt}"',
+        f'<svg class="drawing" style="--inches: {inches}" data-search-exclude role="img" aria-label="{alt}"',
         1,
     )
     svg = re.sub(r"(<svg[^>]*>)", rf"\1<title>{alt}</title>", svg, count=1)

@@ -11,9 +11,10 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from torch import Tensor
 
-from figures import FAINT, MARK, bare_axes, new_figure, to_html
+from figures import FAINT, MARK, bar_below, bare_axes, new_figure, to_html
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.data import ToSphere
 from sphericalvision.icosphere import Icosphere
@@ -21,10 +22,12 @@ from sphericalvision.models import pretrained
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.sphere import Equirectangular, resample
 from sphericalvision.sweep import index_from_depth
-from sphericalvision.viz import rgb_panorama
+from sphericalvision.viz import depth_to_color, rgb_panorama
+from sphericalvision.viz.color import depth_ticks
 
 __all__ = [
     "Result",
+    "against_truth",
     "confidence",
     "failures",
     "hero",
@@ -34,6 +37,7 @@ __all__ = [
 ]
 
 PANORAMA = Equirectangular(180, 360)
+NEAR = 1.0  # metres, red
 #: Scenes in which the network errs most, and why.
 HARD = {
     ("polished", 2): "a reflecting floor",
@@ -50,6 +54,7 @@ class Result(NamedTuple):
     pictures: dict[str, Tensor]
     colors: Tensor
     depth: Tensor
+    true_depth: Tensor
     index: Tensor
     true_index: Tensor
     confidence: Tensor
@@ -86,6 +91,7 @@ def result(kind: str = "room", seed: int = 11) -> Result:
         pictures,
         colors,
         depth,
+        truth,
         shown[0],
         index_from_depth(truth, net.num_hypotheses, net.min_depth),
         shown[1],
@@ -137,31 +143,66 @@ def draw_cloud(axes: Axes, shown: Result) -> None:
     )
 
 
+def depth_bar(figure: Figure, place: tuple[float, float, float, float]) -> None:
+    """The scale of the depth maps here."""
+    ticks = depth_ticks(NEAR, spacing=0.1)
+    bar_below(figure, place, "turbo", "depth (m)", ticks)
+
+
+def error_bar(
+    figure: Figure, place: tuple[float, float, float, float], most: int
+) -> None:
+    """The scale of the maps of errors here."""
+    ticks = [(k / most, str(k)) for k in range(most)] + [(1.0, f"≥ {most}")]
+    bar_below(figure, place, "magma", "error of the index (hypotheses)", ticks)
+
+
+def against_truth() -> str:
+    """Estimated and true depth, and the error."""
+    shown = result()
+    figure = new_figure(8.8, 2.25)
+    panels = {
+        "estimated depth": depth_to_color(shown.depth, NEAR),
+        "true depth": depth_to_color(shown.true_depth, NEAR),
+        "error": (shown.index - shown.true_index).abs(),
+    }
+    for k, (title, values) in enumerate(panels.items()):
+        axes = bare_axes(figure, (0.337 * k, 0.25, 0.326, 0.66), title)
+        axes.imshow(values, cmap="magma", vmin=0, vmax=2)
+    depth_bar(figure, (0.02, 0.21, 0.286, 0.05))
+    depth_bar(figure, (0.357, 0.21, 0.286, 0.05))
+    error_bar(figure, (0.694, 0.21, 0.286, 0.05), 2)
+    return to_html(
+        figure,
+        "Estimated depth, true depth and the error of the index as panorama, each with its scale",
+        "A scene that is not part of the training, beside its truth. One hypothesis is half a metre at a "
+        "distance of two metres, and 12 cm at one metre.",
+    )
+
+
 def hero() -> str:
     """Input, depth and points of one scene."""
     shown = result()
-    figure = new_figure(8.8, 5.3)
+    figure = new_figure(8.8, 5.6)
     draw_fisheyes(
         bare_axes(figure, (0.0, 0.47, 0.3, 0.47), "four 220° fisheye images"),
         shown.pictures,
     )
     axes = bare_axes(
-        figure, (0.32, 0.47, 0.68, 0.47), "estimated depth, all around"
+        figure, (0.32, 0.53, 0.68, 0.43), "estimated depth, all around"
     )
-    axes.imshow(
-        shown.index, cmap="turbo", vmin=0, vmax=max(4.0, float(shown.index.max()))
-    )
+    axes.imshow(depth_to_color(shown.depth, NEAR))
+    depth_bar(figure, (0.39, 0.51, 0.54, 0.02))
     axes = bare_axes(figure, (0.0, 0.0, 0.46, 0.43))
     axes.imshow(shown.colors.movedim(0, -1).clamp(0, 1))
-    axes = bare_axes(figure, (0.47, -0.03, 0.53, 0.47))
+    axes = bare_axes(figure, (0.47, -0.01, 0.53, 0.43))
     draw_cloud(axes, shown)
     return to_html(
         figure,
-        "Four fisheye images of a room, the estimated inverse depth as a panorama, its colours, and "
-        "its points from above",
-        "A scene that is not part of the training. Red is near, blue is far. Below: the images as one "
-        "panorama, and the "
-        "estimated points from above, without the ceiling.",
+        "Four fisheye images of a room, the estimated depth as a panorama, its colours, and its points from "
+        "above",
+        "A scene that is not part of the training. Below: the images as one panorama, and the estimated "
+        "points from above, without the ceiling.",
     )
 
 
@@ -171,13 +212,18 @@ def confidence() -> str:
     error = (shown.index - shown.true_index).abs()
     figure = new_figure(8.8, 2.6)
     for k, (values, title, most, colors) in enumerate(
-        [
-            (error, "error, hypotheses", 2.0, "magma"),
-            (shown.confidence, "confidence", 1.0, "gray"),
-        ]
+        [(error, "error", 2, "magma"), (shown.confidence, "confidence", 1, "gray")]
     ):
-        axes = bare_axes(figure, (0.355 * k, 0.02, 0.345, 0.86), title)
+        axes = bare_axes(figure, (0.355 * k, 0.19, 0.345, 0.72), title)
         axes.imshow(values, cmap=colors, vmin=0, vmax=most)
+    error_bar(figure, (0.02, 0.16, 0.305, 0.045), 2)
+    bar_below(
+        figure,
+        (0.375, 0.16, 0.305, 0.045),
+        "gray",
+        "confidence",
+        [(k / 4, f"{k / 4:g}") for k in range(5)],
+    )
     axes = figure.add_axes((0.78, 0.22, 0.2, 0.62))
     order = shown.confidence.flatten().argsort(descending=True)
     weights = PANORAMA.solid_angles.flatten()[order]
@@ -236,16 +282,16 @@ def reliability() -> str:
 
 def failures() -> str:
     """Where the network errs most: image, answer, truth, error."""
-    figure = new_figure(8.8, 1.42 * len(HARD))
-    height = 1 / len(HARD)
+    figure = new_figure(8.8, 1.42 * len(HARD) + 0.5)
+    height = 1.42 / (1.42 * len(HARD) + 0.5)
     for row, ((kind, seed), why) in enumerate(HARD.items()):
         shown = result(kind, seed)
         bottom = 1 - (row + 1) * height
         error = (shown.index - shown.true_index.clamp(min=0)).abs()
         pictures = [
             (shown.colors.movedim(0, -1).clamp(0, 1), None, 1.0, why),
-            (shown.index, "turbo", 8.0, "estimated"),
-            (shown.true_index, "turbo", 8.0, "true"),
+            (depth_to_color(shown.depth, NEAR), None, 1.0, "estimated"),
+            (depth_to_color(shown.true_depth, NEAR), None, 1.0, "true"),
             (error, "magma", 4.0, "error"),
         ]
         for k, (values, colors, most, title) in enumerate(pictures):
@@ -254,9 +300,10 @@ def failures() -> str:
             )
             axes.set_title(title, fontsize=9)
             axes.imshow(values, cmap=colors, vmin=0, vmax=most)
+    depth_bar(figure, (0.27, 0.065, 0.46, 0.018))
+    error_bar(figure, (0.77, 0.065, 0.21, 0.018), 4)
     return to_html(
         figure,
         "Four scenes with large errors of the network: image, estimate, truth and error",
-        "Scenes that are not part of the training, chosen because of their large errors. Colours show "
-        "indices from 0 to 8 (red) and errors from 0 to 4.",
+        "Scenes that are not part of the training, chosen because of their large errors.",
     )

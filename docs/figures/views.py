@@ -8,7 +8,7 @@ import math
 import torch
 from skimage.data import brick
 
-from figures import bare_axes, new_figure, to_html
+from figures import bar_below, bare_axes, new_figure, to_html
 from sphericalvision.cameras import (
     EquirectangularCamera,
     FisheyeCamera,
@@ -19,10 +19,13 @@ from sphericalvision.cameras import (
 from sphericalvision.scenes import make_scene, ray_depth, render_camera
 from sphericalvision.scenes.registry import scene_kinds
 from sphericalvision.sphere import Equirectangular, resample
+from sphericalvision.viz import depth_to_color
+from sphericalvision.viz.color import depth_ticks
 
 __all__ = ["panorama_views", "resampling_modes", "scenes"]
 
 YAWS = (0, 90, 180, 270)
+NEAR = 0.55  # metres, red
 
 
 def panorama_views() -> str:
@@ -84,28 +87,31 @@ def resampling_modes() -> str:
 
 
 def scenes() -> str:
-    """A fisheye image and the inverse depth of one scene of each kind."""
+    """A fisheye image and the depth of one scene of each kind."""
     camera, panorama = (
         FisheyeCamera.from_field_of_view((160, 160), math.radians(220)),
         Equirectangular(60, 120),
     )
-    figure = new_figure(8.8, 2.1)
-    kinds = scene_kinds()
-    for k, kind in enumerate(kinds):
-        scene, place = make_scene(kind, seed=3), k / len(kinds)
-        axes = bare_axes(figure, (place, 0.36, 0.98 / len(kinds), 0.52), kind)
-        axes.imshow(
-            render_camera(scene, camera, torch.eye(4), samples_per_pixel=2).permute(
-                1, 2, 0
-            )
+    high = 3.1
+    figure = new_figure(8.8, high)
+    for k, kind in enumerate(scene_kinds()):
+        scene, left, bottom = (
+            make_scene(kind, seed=3),
+            0.2 * (k % 5),
+            2.3 - k // 5 * 0.88,
         )
-        axes = bare_axes(figure, (place, 0.0, 0.98 / len(kinds), 0.34))
-        axes.imshow(
-            1 / ray_depth(scene, torch.zeros(3), panorama.directions),
-            cmap="turbo",
-            vmin=0,
-            vmax=1.8,
+        image = render_camera(scene, camera, torch.eye(4), samples_per_pixel=2)
+        depth = ray_depth(scene, torch.zeros(3), panorama.directions)
+        axes = bare_axes(figure, (left, bottom / high, 0.064, 0.58 / high))
+        axes.imshow(image.permute(1, 2, 0))
+        axes = bare_axes(
+            figure, (left + 0.066, bottom / high, 0.128, 0.58 / high), kind
         )
+        axes.imshow(depth_to_color(depth, NEAR))
+    ticks = depth_ticks(NEAR, spacing=0.1)
+    bar_below(
+        figure, (0.25, 0.4 / high, 0.5, 0.08 / high), "turbo", "depth (m)", ticks
+    )
     return to_html(
         figure,
         "A fisheye image and the depth all around for each kind of rendered scene",

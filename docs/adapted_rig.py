@@ -27,7 +27,7 @@ from sphericalvision.recipes.app.rigs import make_corner_rig
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.scenes.carriers import carrier_masks, with_carrier
 from sphericalvision.scenes.disturbances import CameraDisturbance, turned_poses
-from sphericalvision.scenes.registry import kind_of
+from sphericalvision.scenes.registry import TURNS, kind_of
 from sphericalvision.scenes.world import CLEAR_RADIUS, HELD_OUT_SEED
 from sphericalvision.sweep import index_from_inverse_depth
 
@@ -45,7 +45,7 @@ def frame(
     """Images, true index at level 6, and where two cameras see past the vehicle."""
     seed = HELD_OUT_SEED + number
     scene = make_scene(
-        kind_of("all", seed), seed, center=RIG.center, clear_radius=CLEAR_RADIUS
+        kind_of(TURNS, seed), seed, center=RIG.center, clear_radius=CLEAR_RADIUS
     )
     carried = with_carrier(scene, "vehicle", RIG, VEHICLE)
     images = {

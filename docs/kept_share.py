@@ -89,7 +89,7 @@ def measured(
     method: Method,
     tilt_deg: float,
     num_scenes: int,
-    kind: str = "mixed",
+    kind: str | Sequence[str] = ("room", "floating"),
     meshes: MeshFiles | None = None,
     level: int = 6,
 ) -> Answers:

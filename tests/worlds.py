@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +53,7 @@ def random_rigs(
 
 
 def recorded_frames(
-    rig: CameraRig, numbers: Iterable[int], height: int = 32, kind: str = "mixed"
+    rig: CameraRig, numbers: Iterable[int], height: int = 32, kind: str | Sequence[str] = ("room", "floating")
 ) -> list[dict[str, Any]]:
     """Frames of scenes for ``write_omnistereo``; the seed of frame 1 is 0."""
     world = World(rig, kind)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
+from annotated_types import MinLen
 from pydantic.dataclasses import dataclass
 from rich.progress import track
 from torch.utils.data import DataLoader
@@ -41,7 +42,7 @@ class RenderConfig:
     num_frames: Count
     first_frame: Number
     first_seed: Number
-    kind: Text
+    kind: Text | Annotated[list[Text], MinLen(1)]
     mesh: Text | list[str] | None
     mesh_up: Annotated[Literal["y", "z"], OnlyWith("mesh")]
     mesh_scale: Annotated[Positive, OnlyWith("mesh")]

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Annotated, ClassVar, Literal
 
@@ -138,13 +138,13 @@ class RenderedDataModule(DepthDataModule):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class SceneDataModule(RenderedDataModule):
-    """Scenes of one kind or mixture, seen through one rig.
+    """Scenes of one kind or several, seen through one rig.
 
     Args:
         rig: what the scenes are seen through.
         entries: what samples hold: some of "sphere", "depth", "fisheye", "panorama"; what the network wants if null.
         panorama_size: height and width of the depth panorama; for augmentation the width is a multiple of 5.
-        kind: of ``make_scene``, or a mixture: "mixed" or "all".
+        kind: of ``make_scene``, or several that take turns.
         antialias: average images over the area between vertices before they are looked up.
         mesh: file of a textured mesh, several, or a folder: scenes are free places in it, in place of a kind.
         mesh_up: axis that points up in it, "y" (glTF) or "z".
@@ -157,7 +157,7 @@ class SceneDataModule(RenderedDataModule):
     rig: CameraRig
     entries: Entries = None
     panorama_size: Size | None = None
-    kind: str = "mixed"
+    kind: str | list[str] = field(default_factory=lambda: ["room", "floating"])
     antialias: bool = True
     mesh: str | list[str] | None = None
     mesh_up: Literal["y", "z"] = "y"

@@ -33,7 +33,7 @@ from sphericalvision.recipes.evaluation.frames import Batch
 from sphericalvision.recipes.evaluation.rectified_sgbm import RectifiedSGBM
 from sphericalvision.recipes.training.rig_tables import RigTables
 from sphericalvision.scenes import make_scene, ray_depth
-from sphericalvision.scenes.registry import kind_of
+from sphericalvision.scenes.registry import TURNS, kind_of
 from sphericalvision.scenes.world import HELD_OUT_SEED, NATURAL_MIN_DEPTH
 from sphericalvision.sphere.intake import unsigned
 from sphericalvision.sweep import DepthEstimate, index_from_inverse_depth, inverse_depth_from_index
@@ -342,7 +342,7 @@ def _constant(level: int, scale: Scale, folder: Path | None) -> DepthNetwork:
             pass  # damaged, so it is made anew
     assert TRAINING_SCENES < HELD_OUT_SEED
     net = ConstantDepth(level, *scale)
-    scenes = [make_scene(kind_of("all", seed), seed) for seed in range(TRAINING_SCENES)]
+    scenes = [make_scene(kind_of(TURNS, seed), seed) for seed in range(TRAINING_SCENES)]
     directions = net.grid.directions
     net.fit(torch.stack([ray_depth(scene, torch.zeros(3), directions).reciprocal() for scene in scenes]))
     if path is not None:

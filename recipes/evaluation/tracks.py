@@ -16,7 +16,7 @@ from sphericalvision.recipes.app.rigs import make_corner_rig, make_panorama_ring
 from sphericalvision.scenes.disturbances import DISTURBANCES, CameraDisturbance
 from sphericalvision.scenes.meshes import mesh_files
 from sphericalvision.scenes.random_rigs import random_rig
-from sphericalvision.scenes.registry import kind_of, scene_kinds
+from sphericalvision.scenes.registry import TURNS, kind_of, scene_kinds
 from sphericalvision.scenes.world import HELD_OUT_SEED
 
 __all__ = ["GROUPS", "TRACKS", "Track", "chosen_tracks"]
@@ -31,7 +31,7 @@ class Track:
     Attributes:
         name: of its row, files and folders.
         group: tracks that belong together.
-        kind: of scenes; ``"all"`` takes turns through every kind.
+        kind: of scenes; several take turns.
         rig: around the origin: "ring", "panoramas", "corners" (of a vehicle) or "random", another one for each frame.
         num_cameras: of a ring.
         radius: of a ring, metres.
@@ -46,7 +46,7 @@ class Track:
 
     name: str
     group: str
-    kind: str = "all"
+    kind: str | tuple[str, ...] = TURNS
     rig: Literal["ring", "panoramas", "corners", "random"] = "ring"
     num_cameras: int = 4
     radius: float = 0.2
@@ -108,7 +108,9 @@ TOGETHER = CameraDisturbance(True, 0.4, 0.5, 0.4, 0.1, 0.02, SLIGHT)
 TRACKS: dict[str, Track] = {
     track.name: track
     for track in (
-        *(Track(kind, "scenes", kind) for kind in ("room", "floating", "mixed", *scene_kinds()[2:])),
+        *(Track(kind, "scenes", kind) for kind in ("room", "floating")),
+        Track("mixed", "scenes", ("room", "floating")),
+        *(Track(kind, "scenes", kind) for kind in scene_kinds()[2:]),
         *(Track(f"tilt_{t:.0f}", "tilts", tilt_deg=t, shared_tilts_deg=TILTS_DEG) for t in TILTS_DEG),
         *(Track(f"cameras_{n}", "rigs", num_cameras=n) for n in (2, 3, 5, 6)),
         *(Track(f"radius_{100 * r:.0f}cm", "rigs", radius=r) for r in (0.1, 0.3, 0.4)),

@@ -31,7 +31,7 @@ def data(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     level, _ = config.settings[0]
     with tempfile.TemporaryDirectory() as folder:
         view = SampleView(level, level - 2)
-        scenes = WorldSamples(World(rig, "mixed"), view, range(config.num_frames), folder)
+        scenes = WorldSamples(World(rig), view, range(config.num_frames), folder)
         for index in range(len(scenes)):
             scenes[index]
         turns = itertools.cycle(range(len(scenes)))

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import torch
 
@@ -14,7 +13,7 @@ from sphericalvision.scenes.rendering.scene import Scene
 
 __all__ = [
     "ENTRY_POINTS",
-    "MIXTURES",
+    "TURNS",
     "kind_of",
     "register_scene",
     "scene_kinds",
@@ -29,22 +28,13 @@ Recipe = Callable[[torch.Generator, float], Scene]
 """From ``generator``, the source of every random choice, and ``clear_radius``, metres around the rig in which nothing
 stands, to a scene: the rig at its origin, y down, not yet exposed."""
 
-#: Kinds that take turns from seed to seed, by the name of the mixture. Lists that stay as they are, whatever kinds are
-#: added: so a seed of a mixture means the same scene for ever.
-MIXTURES = {
-    "mixed": ("room", "floating"),
-    "all": ("room", "floating", "hall", "corridor", "bare", "polished", "outdoors"),
-}
-
-
-def _fits(name: str, make: Any) -> bool:
-    return bool(name) and name not in MIXTURES and callable(make)
-
+TURNS = ("room", "floating", "hall", "corridor", "bare", "polished", "outdoors")
+"""Kinds that take turns from frame to frame of the benchmark, whose frames stay the same when a kind is added."""
 
 KINDS: Registry[Recipe] = Registry(
     "kind",
-    "a function that makes a scene, and no name of a mixture,",
-    _fits,
+    "a function that makes a scene",
+    lambda name, make: bool(name) and callable(make),
     ENTRY_POINTS,
     folder="sphericalvision.scenes.kinds",
 )
@@ -63,7 +53,7 @@ def register_scene(name: str, *, other_sky: bool = False) -> Callable[[Recipe], 
         other_sky: whether the scenes come under a sky of any colour, or a cloudy one, in place of their own.
 
     Raises:
-        ArgumentError: another recipe or a mixture has the name already.
+        ArgumentError: another recipe has the name already.
 
     Examples:
         >>> from sphericalvision.scenes import make_scene
@@ -85,13 +75,13 @@ def register_scene(name: str, *, other_sky: bool = False) -> Callable[[Recipe], 
 
 
 def scene_kinds() -> tuple[str, ...]:
-    """Names of all kinds: those of the mixture "all" in its order, then the others by name.
+    """Names of all kinds: ``TURNS``, then the others by name.
 
     Examples:
         >>> scene_kinds()[:3]
         ('room', 'floating', 'hall')
     """
-    return (*MIXTURES["all"], *(name for name in KINDS.names() if name not in MIXTURES["all"]))
+    return (*TURNS, *(name for name in KINDS.names() if name not in TURNS))
 
 
 def scene_recipe(name: str) -> Recipe:
@@ -112,22 +102,21 @@ def under_other_skies(name: str) -> bool:
     return name in _UNDER_OTHER_SKIES
 
 
-def kind_of(kind: str, seed: int) -> str:
-    """Tell the kind of scene of a seed: mixtures take turns, any other kind is itself.
+def kind_of(kind: str | Sequence[str], seed: int) -> str:
+    """Tell the kind of scene of a seed: of several they take turns.
 
     Args:
-        kind: of ``scene_kinds``, or a mixture of ``MIXTURES``: ``"mixed"``, rooms for even seeds and floating objects
-            for odd ones, or ``"all"``.
+        kind: of ``scene_kinds``, or several.
         seed: of the scene.
 
     Raises:
         ArgumentError: an unknown kind.
 
     Examples:
-        >>> kind_of("mixed", 4), kind_of("mixed", 5), kind_of("room", 5)
-        ('room', 'floating', 'room')
+        >>> kind_of("room", 5), kind_of(("room", "floating"), 4), kind_of(("room", "floating"), 5)
+        ('room', 'room', 'floating')
     """
-    if kind not in MIXTURES and kind not in scene_kinds():
-        check_choice("kind", kind, (*scene_kinds(), *MIXTURES))
-    turns = MIXTURES.get(kind, (kind,))
+    turns, kinds = (kind,) if isinstance(kind, str) else tuple(kind), scene_kinds()
+    for name in turns or ("",):
+        check_choice("kind", name, kinds)
     return turns[seed % len(turns)]

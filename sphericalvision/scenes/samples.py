@@ -50,7 +50,7 @@ class WorldSamples(Dataset[dict[str, Any]]):
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
-        >>> world = World(ring_rig(2, image_size=(24, 24)), "mixed")
+        >>> world = World(ring_rig(2, image_size=(24, 24)))
         >>> sample = WorldSamples(world, SampleView(level=3, depth_level=1), range(100))[0]
         >>> {key: tuple(value.shape) for key, value in sample.items() if isinstance(value, torch.Tensor)}
         {'images': (2, 3, 642), 'seen': (2, 642), 'inverse_depth': (42,), 'valid': (42,)}

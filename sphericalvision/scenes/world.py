@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from hashlib import sha256
@@ -64,7 +64,7 @@ class World:
 
     Args:
         rig: unbatched, of one size for all seeds; or what draws one from a generator, around the origin.
-        kind: of ``make_scene``, a mixture of ``kind_of``, or how often each kind comes, by its name.
+        kind: of ``make_scene``, several that take turns from seed to seed, or how often each comes, by its name.
         min_depth: least depth that the network tells apart, metres. Scenes scale with it: 0.55 is natural size; meshes
             have the size that they have.
         meshes: of which scenes are made in place of a kind.
@@ -88,13 +88,13 @@ class World:
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
-        >>> frame = World(ring_rig(3, image_size=(24, 24)), "mixed", carrier="pole").frame(7)
+        >>> frame = World(ring_rig(3, image_size=(24, 24)), ["room", "floating"], carrier="pole").frame(7)
         >>> frame.name, frame.images["cam1"].shape, frame.inverse_depth(torch.eye(3)).shape
         ('floating-pole-00000007', torch.Size([3, 24, 24]), torch.Size([3]))
     """
 
     rig: CameraRig | Callable[[torch.Generator], CameraRig]
-    kind: str | Mapping[str, float] = "room"
+    kind: str | Sequence[str] | Mapping[str, float] = "room"
     min_depth: float = NATURAL_MIN_DEPTH
     meshes: MeshFiles | None = None
     tilts: tuple[float, float] | None = None
@@ -201,7 +201,7 @@ class WorldFrame:
     @cached_property
     def kind(self) -> str:
         """Of the scene."""
-        if isinstance(self.world.kind, str):
+        if not isinstance(self.world.kind, Mapping):
             return kind_of(self.world.kind, self.seed)
         shares = torch.tensor(list(self.world.kind.values()))
         return list(self.world.kind)[choose(shares, self.draws.kind)]

@@ -16,7 +16,6 @@ from sphericalvision.io.files import write_yaml
 from sphericalvision.recipes.app.rigs import make_ring
 from sphericalvision.recipes.commands.render import numbered_frame
 from sphericalvision.scenes import World
-from sphericalvision.scenes.registry import kind_of
 from tests.recipes.tiny import Run
 from tests.worlds import recorded_frames
 
@@ -94,7 +93,7 @@ def test_frames_of_other_settings_are_not_mixed_in(
     root = tmp_path / "set"
     root.mkdir()
     settings = {
-        "kind": "mixed",
+        "kind": ["room", "floating"],
         "first_seed": 0,
         "scale": 1.0,
         "samples_per_pixel": 1,
@@ -117,9 +116,9 @@ def test_frames_from_elsewhere_are_not_mixed_with(failing: Callable[..., str], t
 
 def test_a_frame_depends_on_its_seed_alone() -> None:
     rig = make_ring(image_size=(16, 16))
-    world = World(rig, "mixed")
+    world = World(rig, ["room", "floating"])
     first, other = numbered_frame(world, 0, 16, 5), numbered_frame(world, 4, 16, 1)
     assert (first["frame"], other["frame"]) == ("00005", "00001")
     assert torch.equal(first["inverse_depth"], other["inverse_depth"])
     assert torch.equal(first["images"]["cam1"], other["images"]["cam1"])
-    assert [kind_of("mixed", seed) for seed in range(3)] == ["room", "floating", "room"]
+    assert [world.frame(seed).kind for seed in range(3)] == ["room", "floating", "room"]

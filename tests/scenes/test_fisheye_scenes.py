@@ -51,7 +51,7 @@ def test_images_on_the_sphere_are_the_same_beside_the_cameras_own(make_rig: Call
     rig = make_rig(image_size=(64, 64))
     for antialias in (False, True):
         ours, others = (
-            world_scenes(rig, 2, 4, SampleView(3, 1, images, antialias=antialias), kind="mixed")
+            world_scenes(rig, 2, 4, SampleView(3, 1, images, antialias=antialias), kind=["room", "floating"])
             for images in (True, False)
         )
         for index in range(2):

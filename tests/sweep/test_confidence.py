@@ -76,7 +76,7 @@ def test_has_nothing_to_say_without_correlation() -> None:
 def test_is_the_share_of_small_errors_on_scenes_it_was_not_fitted_to() -> None:
     rig = ring_rig(4, 0.2, (192, 192))
     scenes = world_scenes(
-        rig, 4, 2_000_000, SampleView(6, 4, antialias=True), kind="mixed", samples_per_pixel=2
+        rig, 4, 2_000_000, SampleView(6, 4, antialias=True), kind=["room", "floating"], samples_per_pixel=2
     )
     errors, confidences = [], []
     for sample in (scenes[number] for number in range(4)):

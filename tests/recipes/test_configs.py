@@ -154,22 +154,22 @@ def test_a_cosine_after_a_rise_ends_with_the_training() -> None:
     assert rates[100:] == pytest.approx([0.25 * (1 + math.cos(math.pi * step / 200)) for step in range(201)])
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(CONF)))
-def test_configs_are_short_and_say_what_they_are(path: Path) -> None:
-    lines = path.read_text().splitlines()
-    assert len(lines) <= 45
-    assert lines[0].startswith("#")
+def test_configs_are_short_and_say_what_they_are() -> None:
+    for path in FILES:
+        lines = path.read_text().splitlines()
+        assert len(lines) <= 45, path
+        assert lines[0].startswith("#"), path
 
 
-@pytest.mark.parametrize(
-    "path", [p for p in FILES if p.parent.name not in DELTAS], ids=lambda path: str(path.relative_to(CONF))
-)
-def test_every_key_is_explained(path: Path) -> None:
-    text = path.read_text().partition("\nhydra:")[0]
-    keys = [line for line in text.splitlines() if re.match(r"^( {2})?[a-zA-Z]\w*: *\S", line)]
-    assert keys or "defaults" in text or path.stem == "none"
-    for line in keys:
-        assert " # " in line, f"{path.name}: no comment on {line!r}"
+def test_every_key_is_explained() -> None:
+    for path in FILES:
+        if path.parent.name in DELTAS:
+            continue
+        text = path.read_text().partition("\nhydra:")[0]
+        keys = [line for line in text.splitlines() if re.match(r"^( {2})?[a-zA-Z]\w*: *\S", line)]
+        assert keys or "defaults" in text or path.stem == "none", path
+        for line in keys:
+            assert " # " in line, f"{path}: no comment on {line!r}"
 
 
 COMMANDS = (

@@ -69,7 +69,7 @@ RUNS = (
         "baseline_scenes=2",
         *DEMO,
     ),
-    ("align", RIG, IMAGES, "stop=1"),
+    ("align", RIG, IMAGES, "stop=1", "cameras=[cam1,cam2]"),
     ("calibrate", "images=board/*.png", f"board={COLUMNS}x{ROWS}", f"square={SQUARE}"),
     (
         "export",

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -83,8 +84,10 @@ def test_a_bag_of_topics_is_the_frames_of_its_pictures(
     tmp_path: Path, kind: str, encoding: str, cameras: list[str] | None
 ) -> None:
     path = write(tmp_path / ("run.bag" if kind == "bag" else "run"), kind, encoding)
-    inside = [] if kind == "bag" else [next(path.glob(f"*.{kind}"))]
-    for images in (path, *inside):
+    places = [path] if kind == "bag" else [path, next(path.glob(f"*.{kind}"))]
+    if kind != "bag":
+        places.append(shutil.copy(places[1], tmp_path / f"alone.{kind}"))  # without metadata.yaml
+    for images in places:
         source = open_source(str(images), RIG, cameras=cameras)
         assert isinstance(source, Bag)
         used = cameras or list(RIG.names)
@@ -131,12 +134,13 @@ def test_what_is_no_bag_of_these_cameras_is_told(tmp_path: Path, monkeypatch: py
         open_source(str(path), RIG, frames=[1])
     with pytest.raises(MissingFileError, match=r"no moment .* tolerance=0.0001 .*cam1: 3, .* cam4: 2"):
         open_source(str(path), RIG, tolerance=0.0001)
-    (tmp_path / "alone.mcap").touch()
-    with pytest.raises(MissingFileError, match=r"metadata.yaml beside it \(ros2 bag reindex\)"):
-        open_source(str(tmp_path / "alone.mcap"), RIG)
-    (tmp_path / "empty.bag").touch()
-    with pytest.raises(FileFormatError, match="rosbags cannot read it"):
-        open_source(str(tmp_path / "empty.bag"), RIG)
+    with pytest.raises(MissingFileError, match=r"folder with metadata.yaml"):
+        open_source(str(tmp_path / "missing.mcap"), RIG)
+    cut = next(path.glob("*.mcap")).read_bytes()[:-50]  # the recording was killed
+    for name, content in {"empty.bag": b"", "empty.mcap": b"", "empty.db3": b"", "cut.mcap": cut}.items():
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(FileFormatError, match=f"{name}: rosbags cannot read it"):
+            open_source(str(tmp_path / name), RIG)
     for encoding, words in {
         "yuv422": "encoding mono8, .* got 'yuv422'",
         "nonsense": "format 'nonsense'",

@@ -28,25 +28,25 @@ CHANNELS = {"mono8": 1, "rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4}
 
 
 def bag_of(path: Path) -> Path | None:
-    """The bag that a path names, as rosbags takes it: a ``.bag``, or a folder with ``metadata.yaml``; None without one.
+    """The bag that a path names, as rosbags takes it: a folder with ``metadata.yaml``, else a file; None without one.
 
     Raises:
-        MissingFileError: no such file, or one of ROS 2 without its ``metadata.yaml``.
+        MissingFileError: no such file.
         ArgumentError: rosbags is not installed.
     """
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES and not (path / "metadata.yaml").is_file():
+    suffix, is_folder = path.suffix.lower(), (path / "metadata.yaml").is_file()
+    if suffix not in SUFFIXES and not is_folder:
         return None
-    folder = path if path.is_dir() or suffix == ".bag" else path.parent
-    if not path.exists() or (folder.is_dir() and not (folder / "metadata.yaml").is_file()):
+    if not is_folder and not path.is_file():
         raise MissingFileError(
-            f"images: {path}: expected a bag of ROS 1, or of ROS 2 with metadata.yaml beside it (ros2 bag reindex)"
+            f"images: {path}: expected a bag of ROS 1 or 2, a file or a folder with metadata.yaml"
         )
     if find_spec("rosbags") is None:
         raise ArgumentError(
             f"images: {path} is a bag, which rosbags reads: pip install 'sphericalvision[bags]'"
         )
-    return folder
+    is_part = suffix != ".bag" and not is_folder and (path.parent / "metadata.yaml").is_file()
+    return path.parent if is_part else path
 
 
 class Bag(Files):

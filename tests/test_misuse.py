@@ -597,6 +597,62 @@ SampleView() -> view: got none
 SampleView(panorama=(10, 30)) -> panorama: height 10, width 30
 WorldSamples(World(rig().resized({'cam1': (20, 20)})), SampleView(images=True), range(1))[0] -> one size: resized
 render_camera(make_scene(), camera(), torch.eye(4), samples_per_pixel=0) -> samples_per_pixel: got 0
+# cameras: what models are made of
+UnifiedCamera(F, C, 1.0, [0.0] * 3, SIZE) -> distortion: expected \(\*, 5\) .* got shape \(3,\)
+ExtendedUnifiedCamera(F, C, 1.5, 1.0, SIZE) -> alpha: expected numbers in \[0, 1\], got 1.5
+ExtendedUnifiedCamera(F, C, 0.5, 0.0, SIZE) -> beta: expected numbers above 0, got 0.0
+AtanCamera(F, C, 3.2, SIZE) -> omega: expected radians in \(0, π\)
+ThinPrismFisheyeCamera(F, C, [0.0] * 6, [0.0] * 2, [0.0] * 4, SIZE, composition='both') -> composition: 'sequential'
+ThinPrismFisheyeCamera(F, C, [0.0] * 6, [0.0] * 2, [0.0] * 2, SIZE) -> thin_prism: expected shape \(\*, 4\), got \(2,\)
+OCamCamera([100.0, 0.0, 1e-3], None, C, [1, 0, 0], SIZE, 1.0) -> polynomial: the first coefficient .* negative
+OCamCamera([-9.0, 0.0, 0.01], None, C, [1, 1, 1], SIZE, 1.0) -> affine: got
+OCamCamera([-9.0, 0.0, 0.01], None, C, [1, 0, 0], SIZE, 110) -> max_angle: radians
+RadialPolynomialCamera([-1.0, 2.0], C, 1.0, SIZE) -> polynomial: the first above 0, got \[-1.0, 2.0\]
+RadialPolynomialCamera([9.0], C, 0.0, SIZE) -> aspect_ratio: expected numbers above 0, got 0.0
+BrownConradyCamera(F, C, [0.0] * 6, SIZE) -> distortion: got shape \(6,\); fill up with zeros
+FisheyeCamera.from_field_of_view(SIZE, 3.84, 'orthographic') -> field_of_view: up to 180° .* orthographic lens, got 220
+PinholeCamera(torch.ones(3, 2), torch.ones(2, 2), SIZE) -> focal_length \(3, 2\), principal_point: \(2, 2\)
+FisheyeCamera.stack([camera()] * 3).project(torch.zeros(2, 7, 3)) -> batch shape: expects \(3, \*, 3\), got \(2, 7, 3\)
+# cameras: rig, remap
+rig().project(DIRECTIONS[0]) -> points: expected \(P, 3\)
+rig().points_seen(torch.ones(2, 2, 3), torch.zeros(1)) -> directions: flatten the grid
+rig().points_seen(DIRECTIONS, torch.zeros(2, 5)) -> inverse_depths: expected \(N,\) or \(\*b, N, 1\)
+rig().points_seen(DIRECTIONS, torch.tensor([1.0, -1.0])) -> inverse_depths: expected 1/m, 0
+remap(torch.zeros(3, 40, 32), camera(), camera()) -> image: 32 x 40 \(height x width\), got shape \(3, 40, 32\)
+Remap(camera(), camera())(IMAGE[0]) -> image: 32 x 40
+remap(IMAGE, camera(), camera(), mask=torch.ones(60, 80)) -> mask: expected shape \(\*b, 32, 40\)
+remap(IMAGE, camera(), camera(), torch.eye(4)) -> rotation: expected shape \(3, 3\) or \(\*b, 3, 3\)
+remap(BYTES, camera(), camera(), mode='nearest', fill=-1) -> fill: torch.uint8 can hold, got -1
+remap(IMAGE, camera(), camera(), mode='bicubic', mask=torch.ones(SIZE)) -> mask: bicubic kernel has negative weights
+# sphere: sizes
+Equirectangular(10**7, 2 * 10**7) -> height, width: expected
+Equirectangular.with_square_pixels(10**6, 10**7) -> height, width: expected
+Cubemap(10**6) -> size: expected
+Healpix(2**20) -> nside: expected
+TangentImages(3, 10**6) -> base_level, size: expected
+TangentImages(40, 8) -> level: expected
+# pictures, crowns, captures
+depth_panorama(torch.ones(1, 4, 8), 0.5) -> depth: a panorama \(H, W\), got \(1, 4, 8\)
+rgb_panorama(rig(), {}, 16) -> images: expected those of the cameras
+rgb_panorama(rig(), pictures(torch.zeros(3, 24, 24)), 16, torch.ones(8, 16)) -> depth: \(16, 32\) or a number
+save_point_cloud('x.ply', torch.zeros(4, 3), torch.zeros(5, 3)) -> points: \(n, 3\) both
+save_point_cloud('x.ply', torch.tensor([[NAN, 0.0, 0.0]]), torch.zeros(1, 3)) -> points: 1 of them not finite
+from_crown(Crown(crown().row, crown().col)) -> crown: make it with to_crown
+from_crown(Crown(crown().col, crown().row.expand(2, -1, -1, -1, -1))) -> crown: col \(1, 5, 3, 9, 5\) and row \(2, 5
+calibrate_photometry(rig(), {'cam1': IMAGE}) -> images: expected one for each of cam1, cam2, cam3, cam4, got cam1
+calibrate_photometry(rig(), pictures(torch.zeros(3, 24, 24)), depth=-1) -> depth: metres above 0, got -1
+calibrate_photometry(rig(), pictures(torch.zeros(3, 8, 8))) -> images\['cam1'\]: 24 x 24
+find_own_body(rig(), [{'cam1': torch.zeros(3, 24, 24)}]) -> frames: one for each of cam1, cam2, cam3, cam4, got cam1
+find_own_body(rig(), [pictures(torch.zeros(3, 8, 8))]) -> frames\['cam1'\]: 24 x 24
+find_own_body(rig(), [], margin=-1) -> margin: -1
+# models, data, metrics, scenes
+RomniStereo(16, output_size=(15, 64)) -> output_size: 15
+RomniStereo(14) -> num_hypotheses: 14
+RomniStereo(17) -> num_hypotheses: 17
+RomniStereo(16, iterations=0) -> iterations: 0
+RomniStereo(16, in_channels=2) -> in_channels: 2
+collate_samples([{'images': {'a': IMAGE}}, {'images': {'a': IMAGE[:, 1:]}}]) -> images\.a: of one shape .*ToSphere
+left_right_error(torch.ones(2, 3), torch.ones(2, 3)) -> pred, target: expected
 """
 """The call -> the argument that the message names: a further word of it, both as regular expressions."""
 

@@ -161,8 +161,3 @@ def test_behind_and_beside_the_camera_is_not_valid_and_finite() -> None:
         pixels, valid = camera.project(points.to(dtype))
         assert not valid.any()
         assert pixels.isfinite().all()
-
-
-def test_other_numbers_of_coefficients_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"distortion: expected .* got shape \(6,\); fill up with zeros"):
-        lens([0.0] * 6)

@@ -122,15 +122,6 @@ def test_directions_outside_the_polynomials_range_are_not_valid() -> None:
     assert not lens.project(torch.tensor([1.0, 0.0, 0.0])).valid
 
 
-def test_senseless_parameters_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"polynomial: the first coefficient .* negative"):
-        OCamCamera([100.0, 0.0, 1e-3], None, CENTER, AFFINE, SIZE, WIDE)
-    with pytest.raises(ValueError, match="affine"):
-        OCamCamera(DIRECT, None, CENTER, [1.0, 1.0, 1.0], SIZE, WIDE)
-    with pytest.raises(ValueError, match=r"max_angle.*radians"):
-        OCamCamera(DIRECT, None, CENTER, AFFINE, SIZE, 110)
-
-
 def test_without_max_angle_it_ends_where_its_image_or_its_polynomial_does() -> None:
     polynomial = torch.tensor([-100.0, 0.0, 0.0025], dtype=torch.float64)
     lens = OCamCamera(polynomial, None, [319.5, 239.5], [1.0, 0.0, 0.0], (480, 640))

@@ -556,23 +556,3 @@ def test_module_compiles_to_one_graph(mode: str) -> None:
 
 
 # Errors ---------------------------------------------------------------------------------------------------------------
-
-
-def test_errors_say_what_is_expected() -> None:
-    image = torch.rand(3, 72, 96)
-    with pytest.raises(ShapeError, match=r"images are 72 x 96 \(height x width\), got shape \(3, 96, 72\)"):
-        remap(torch.rand(3, 96, 72), FISHEYE, PINHOLE)
-    with pytest.raises(ShapeError, match="images are 72 x 96"):
-        Remap(FISHEYE, PINHOLE)(torch.rand(72, 96))
-    with pytest.raises(ShapeError, match=r"mask: expected shape \(\*b, 72, 96\)"):
-        remap(image, FISHEYE, PINHOLE, mask=torch.ones(60, 80))
-    with pytest.raises(ShapeError, match=r"rotation: expected shape \(3, 3\) or \(\*b, 3, 3\)"):
-        remap(image, FISHEYE, PINHOLE, rotation=torch.eye(4))
-    with pytest.raises(ArgumentError, match="mode: expected one of 'bilinear', 'area'"):
-        remap(image, FISHEYE, PINHOLE, mode="linear")
-    with pytest.raises(ArgumentError, match="use mode 'nearest' for labels"):
-        remap((image * 255).byte(), FISHEYE, PINHOLE)
-    with pytest.raises(ArgumentError, match=r"fill: expected a value that torch.uint8 can hold, got -1"):
-        remap((image * 255).byte(), FISHEYE, PINHOLE, mode="nearest", fill=-1)
-    with pytest.raises(ArgumentError, match="mask: a bicubic kernel has negative weights"):
-        remap(image, FISHEYE, PINHOLE, mode="bicubic", mask=torch.ones(72, 96))

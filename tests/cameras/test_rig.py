@@ -333,15 +333,3 @@ def test_gradients_reach_poses_and_points() -> None:
     rig.project_along(points.detach(), torch.ones(1)).pixels.sum().backward()
     assert poses.grad is not None
     assert poses.grad[:, :3, 3].abs().sum() > 1
-
-
-def test_wrong_points_are_refused_by_name() -> None:
-    rig = small_ring()
-    with pytest.raises(ValueError, match=r"points: expected \(P, 3\)"):
-        rig.project(FORWARD)
-    with pytest.raises(ValueError, match="flatten the grid"):
-        rig.points_seen(torch.ones(2, 2, 3), torch.zeros(1))
-    with pytest.raises(ValueError, match=r"inverse_depths: expected \(N,\) or \(\*b, N, 1\)"):
-        rig.points_seen(FORWARD[None], torch.zeros(2, 5))
-    with pytest.raises(ValueError, match="inverse_depths: expected 1/m, 0"):
-        rig.points_seen(FORWARD[None], torch.tensor([1.0, -1.0]))

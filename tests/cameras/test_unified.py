@@ -199,17 +199,3 @@ def test_distortion_that_folds_ends_the_image() -> None:
     assert folding.max_angle.item() == pytest.approx(math.pi / 2, abs=1e-3)
     points = circle(torch.tensor([1.56, 1.58], dtype=torch.float64))
     assert project_unified(points, *folding._aligned(points)[:4]).valid.tolist() == [True, False]
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: lens(-1.0), r"xi: expected numbers above -1, got -1.0"),
-        (lambda: lens(1.0, [0.0] * 3), r"distortion: expected \(\*, 5\) .* got shape \(3,\)"),
-        (lambda: extended(1.5), r"alpha: expected numbers in \[0, 1\], got 1.5"),
-        (lambda: extended(0.5, 0.0), r"beta: expected numbers above 0, got 0.0"),
-    ],
-)
-def test_impossible_intrinsics_are_refused(make: Callable[[], Camera], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        make()

@@ -130,15 +130,6 @@ def test_colmaps_own_lenses_agree(model: str) -> None:
     assert_projects(camera, expected, rays)
 
 
-def test_mistakes_are_named() -> None:
-    with pytest.raises(ValueError, match=r"omega: expected radians in \(0, π\)"):
-        AtanCamera(FOCAL, CENTER, 3.2, SIZE)
-    with pytest.raises(ValueError, match="composition: expected one of 'sequential', 'additive'"):
-        ThinPrismFisheyeCamera(FOCAL, CENTER, K, [0.0] * 2, [0.0] * 4, SIZE, composition="both")
-    with pytest.raises(ValueError, match=r"thin_prism: expected shape \(\*, 4\), got \(2,\)"):
-        ThinPrismFisheyeCamera(FOCAL, CENTER, K, [0.0] * 2, [0.0] * 2, SIZE)
-
-
 @pytest.mark.parametrize(
     ("source", "to", "bound"),
     [

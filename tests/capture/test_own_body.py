@@ -11,7 +11,6 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import find_own_body
-from sphericalvision.core import ArgumentError, ShapeError
 
 SIZE = 96
 RIG = ring_rig(2, image_size=(SIZE, SIZE))
@@ -120,12 +119,3 @@ def test_large_images_are_looked_at_in_a_small_size() -> None:
 
 def test_of_many_frames_a_spread_is_kept() -> None:
     assert 25 <= find_own_body(RIG, map(world, range(130))).num_views <= 50
-
-
-def test_what_is_wrong_is_told() -> None:
-    with pytest.raises(ArgumentError, match="frames: expected one for each of cam1, cam2, got cam1"):
-        find_own_body(RIG, [{"cam1": torch.zeros(3, SIZE, SIZE)}])
-    with pytest.raises(ShapeError, match=r"frames\['cam1'\]: this camera's images are 96 x 96"):
-        find_own_body(RIG, [dict.fromkeys(RIG.names, torch.zeros(3, 8, 8))])
-    with pytest.raises(ArgumentError, match="margin"):
-        find_own_body(RIG, [], margin=-1)

@@ -8,7 +8,6 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sphericalvision.core import ShapeError
 from sphericalvision.crown import (
     Crown,
     crown_relu,
@@ -137,11 +136,3 @@ def test_addition_and_relu() -> None:
     crown = random_crown(1, 2)
     assert torch.equal((crown + crown).row, 2 * crown.row)
     assert torch.equal(crown_relu(crown).col, crown.col.clamp(min=0))
-
-
-def test_errors_name_the_shapes() -> None:
-    crown = to_crown(torch.zeros(1, 1, 42))
-    with pytest.raises(ShapeError, match="make it with to_crown"):
-        from_crown(Crown(crown.row, crown.col))
-    with pytest.raises(ShapeError, match=r"got col \(1, 5, 1, 5, 3\) and row \(2, 5, 1, 3, 5\)"):
-        from_crown(Crown(crown.col, crown.row.expand(2, -1, -1, -1, -1)))

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from sphericalvision.core import ShapeError
-from sphericalvision.metrics import LeftRightError, StereoError, left_right_error
+from sphericalvision.metrics import LeftRightError, StereoError
 
 
 def test_both_metrics_are_those_of_plain_numpy() -> None:
@@ -32,8 +31,3 @@ def test_both_metrics_are_those_of_plain_numpy() -> None:
         metric.update(torch.from_numpy(pred), torch.from_numpy(target))
         found |= {name: value.item() for name, value in metric.compute().items()}
     assert found == pytest.approx({name: np.mean(values) for name, values in expected.items()}, rel=1e-5)
-
-
-def test_images_are_wanted_for_their_edges() -> None:
-    with pytest.raises(ShapeError, match="pred, target"):
-        left_right_error(torch.ones(2, 3), torch.ones(2, 3))

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from sphericalvision.cameras import ring_rig
-from sphericalvision.core import ArgumentError, FileFormatError
+from sphericalvision.core import FileFormatError
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import RomniStereo, load_romnistereo_checkpoint
 from sphericalvision.models.romnistereo import at_hypotheses
@@ -160,18 +160,3 @@ def test_between_and_beyond_hypotheses() -> None:
     index = torch.tensor([-5.0, -0.5, 0.0, 1.25, 2.0, 2.5, 9.0]).view(1, 1, 1, 7)
     expected = torch.tensor([0.0, 1.0, 2.0, 5.0, 8.0, 4.0, 0.0])
     torch.testing.assert_close(at_hypotheses(values, index).flatten(), expected)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        ({"output_size": (15, 64)}, "output_size"),
-        ({"num_hypotheses": 14}, "num_hypotheses"),
-        ({"num_hypotheses": 17}, "num_hypotheses"),
-        ({"iterations": 0}, "iterations"),
-        ({"in_channels": 2}, "in_channels"),
-    ],
-)
-def test_arguments_that_make_no_network(arguments: dict[str, Any], named: str) -> None:
-    with pytest.raises(ArgumentError, match=named):
-        RomniStereo(**{"num_hypotheses": 16, "feature_channels": 2, "output_size": (16, 64)} | arguments)

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, FisheyeCamera
-from sphericalvision.core import ShapeError
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Equirectangular
@@ -95,15 +94,6 @@ def test_pictures_are_the_colours_above_a_scale() -> None:
     ):
         np.testing.assert_array_equal(picture[:320], colors)
         assert picture.shape[0] > 350  # the scale
-
-
-def test_wrong_shapes_are_refused(rig: CameraRig) -> None:
-    with pytest.raises(ShapeError, match=r"depth: expected a panorama \(H, W\), got \(1, 4, 8\)"):
-        depth_panorama(torch.ones(1, 4, 8), 0.5)
-    with pytest.raises(ShapeError, match="images: expected those of the cameras"):
-        rgb_panorama(rig, {}, 16)
-    with pytest.raises(ShapeError, match=r"depth: expected \(16, 32\) or a number, got \(8, 16\)"):
-        rgb_panorama(rig, paint(rig), 16, torch.ones(8, 16))
 
 
 def test_depth_fades_to_grey_where_little_is_known() -> None:

@@ -3,16 +3,13 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import numpy as np
-import pytest
 import torch
 import trimesh
 
 from sphericalvision.cameras import CameraRig, FisheyeCamera
-from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.viz import save_point_cloud
 from sphericalvision.viz.pointcloud import point_colors
 
@@ -23,13 +20,6 @@ def test_a_saved_cloud_is_read_back(tmp_path: Path, generator: torch.Generator) 
     np.testing.assert_allclose(loaded.vertices, points, atol=1e-6)
     np.testing.assert_allclose(loaded.colors[:, :3] / 255, colors, atol=0.5 / 255 + 1e-6)
     assert [file.name for file in tmp_path.iterdir()] == ["cloud.ply"]
-
-
-def test_bad_clouds_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ShapeError, match=r"\(n, 3\) both"):
-        save_point_cloud(tmp_path / "a.ply", torch.zeros(4, 3), torch.zeros(5, 3))
-    with pytest.raises(ArgumentError, match="1 of them not finite"):
-        save_point_cloud(tmp_path / "a.ply", torch.tensor([[math.nan, 0.0, 0.0]]), torch.zeros(1, 3))
 
 
 def test_cameras_count_by_the_eighth_power_of_how_far_forward_they_look() -> None:

@@ -20,8 +20,14 @@ from typing_extensions import TypedDict
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.recipes.app.cli import choose_device, console
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Positive, Size, Text
-from sphericalvision.recipes.speed.measuring import Measurement, measure, prepare_operators
-from sphericalvision.recipes.speed.speed_tables import comparison_table, machine, save_measurements
+from sphericalvision.recipes.speed.measuring import (
+    Measurement,
+    comparison_table,
+    machine,
+    measure,
+    prepare_operators,
+    save_measurements,
+)
 
 __all__ = ["GROUPS", "SpeedKeys", "measure_speed"]
 
@@ -39,8 +45,6 @@ class SpeedKeys(TypedDict, total=False):
     settings: list[Size]
     feature_channels: Count
     image_size: Size
-    training: bool
-    memory: bool
     options: list[str]
     num_frames: Count
     image_sides: Annotated[list[Count], MinLen(1)]
@@ -52,14 +56,8 @@ class SpeedKeys(TypedDict, total=False):
 
 GROUPS = {
     "cameras": "cameras",
-    "convolutions": "convolutions",
-    "network": "network",
-    "variants": "network",
-    "training": "network",
-    "sweep": "network",
-    "data": "data",
-    "fps": "predict",
-    "presets": "predict",
+    **dict.fromkeys(("convolutions", "network", "variants", "training", "sweep"), "networks"),
+    **dict.fromkeys(("data", "fps", "presets"), "frames"),
     "gpu": "gpu",
 }
 """Group -> the module of this folder that has a function of its name, of the configuration and the device; that
@@ -94,7 +92,7 @@ def measure_speed(config: Annotated[DictConfig, SpeedKeys], folder: Path) -> lis
                 titles.append(comparison.title)
                 continue
             with console.status(comparison.title):
-                measured = measure(comparison, config.seconds, device)
+                measured = measure(comparison, config.seconds)
             comparison_table(measured).print()
             rows += measured
             written = save_measurements(folder, rows, facts)  # an interruption loses little

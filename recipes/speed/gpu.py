@@ -3,11 +3,16 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
-from typing import Any, Literal, get_args
+from pathlib import Path
+from typing import Any
+from unittest import mock
 
 import torch
+from hydra import compose
 from omegaconf import DictConfig
 from torch import Tensor
 
@@ -15,115 +20,124 @@ from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Predictor
 from sphericalvision.capture.graphs import GraphedFunction
 from sphericalvision.models import DepthNetwork, IcoSweepNet, pretrained
+from sphericalvision.recipes.commands.train import instantiate_run
 from sphericalvision.recipes.speed.measuring import Comparison, Run, added_memory, random_images
 from sphericalvision.scenes import make_scene, render_rig
 
 __all__ = ["gpu"]
 
 SHIPPED = {"default": "refinedsweepnet", "level 5": "refinedsweepnet-fast", "level 7": "refinedsweepnet-fine"}
-Precision = Literal["float32", "bfloat16", "float16"]
-PRECISIONS: tuple[Precision, ...] = get_args(Precision)
-BATCHES = (1, 16)
+PREDICTORS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "level 5": {"level": 5},
+    "level 7": {"level": 7},
+    "default, bfloat16": {"precision": "bfloat16"},
+    "default, float16": {"precision": "float16"},
+}
+BATCH = 16
+TRAINING = [
+    "experiment=refinedsweepnet",
+    "data=random_rigs",
+    "data.cache_dir=null",
+    f"data.num_workers={max(1, (os.cpu_count() or 1) - 1)}",
+]
+"""What samples are trained with, each of them rendered for its step."""
 LARGEST = 800
 """Height and width of the images."""
 
 
 def gpu(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
-    """Parity, a frame, a batch of frames, memory, training and rendering, on a device."""
+    """Parity, a frame, training, batches of frames, memory and rendering, on a device."""
     side = min(LARGEST, max(config.image_sides))
-    rig = ring_rig(4, image_size=(side, side))
-    images = {
-        name: (255 * image).round().byte()
-        for name, image in render_rig(make_scene("room", seed=1), rig).items()
-    }
+    rig, ring = ring_rig(4, image_size=(side, side)), ring_rig(4).to(device)
+    rendered = render_rig(make_scene("room", seed=1), rig)
+    images = {name: (255 * image).round().byte() for name, image in rendered.items()}
     yield Comparison(
-        "the index on the device and on the CPU", _parity(rig, images, device), "In the mean.", "hypotheses"
+        "the index on the device and on the CPU, in the mean",
+        {name: partial(_difference, rig, images, device, options) for name, options in PREDICTORS.items()},
+        unit="hypotheses",
     )
-    ring = ring_rig(4).to(device)
     level, number = config.settings[-1]
-    paper = IcoSweepNet(level, number, feature_channels=config.feature_channels)
     networks: dict[str, Callable[[], DepthNetwork]] = {
         title: partial(pretrained, name) for title, name in SHIPPED.items()
     }
-    networks |= {f"IcoSweepNet {level}/{number}": lambda: paper}
-    for batch in BATCHES:
-        for title, network in networks.items():
-            yield Comparison(f"{title}: a forward pass of {batch}", _forward(network(), ring, batch, device))
-    predictors = {
-        precision: Predictor(rig, min_depth=0.55, device=device, precision=precision)
-        for precision in PRECISIONS
-    }
-    for predictor in predictors.values():  # the second call of a size is captured
-        for _ in range(2):
-            predictor(images)
-    yield Comparison(
-        f"Predictor: a call with four images of {side} x {side} bytes on the host, until its answer is there",
-        {name: partial(_answer, predictor, images) for name, predictor in predictors.items()},
+    networks[f"IcoSweepNet {level}/{number}"] = partial(
+        IcoSweepNet, level, number, feature_channels=config.feature_channels
     )
     for title, network in networks.items():
-        net = network().to(device).eval()
-        run = partial(net, random_images(net.level, device), net.tables(ring))
-        yield Comparison(
-            f"{title}: memory",
-            {"inference": partial(added_memory, torch.inference_mode()(run), device)},
-            "",
-            "MB",
-        )
-    for title, trained, batch in (
-        (f"IcoSweepNet {level}/{number // 2}", IcoSweepNet(level, number // 2), 1),
-        ("default", pretrained(SHIPPED["default"]), BATCHES[-1]),
+        yield Comparison(f"{title}: a forward pass of 1", _forward(network(), ring, 1, device))
+    calls: dict[str, Run] = {}
+    for name, options in PREDICTORS.items():
+        calls[name] = partial(_answer, Predictor(rig, min_depth=0.55, device=device, **options), images)
+    yield Comparison(
+        f"Predictor: a call with four images of {side} x {side} bytes on the host, until its answer is there",
+        _called(calls),
+    )
+    paper = IcoSweepNet(level, number // 2, feature_channels=config.feature_channels)
+    for title, net, batch in (
+        (f"IcoSweepNet {level}/{number // 2}", paper, 1),
+        ("default", networks["default"](), BATCH),
     ):
-        yield Comparison(
-            f"{title}: a training step of {batch}, without the optimiser",
-            _steps(trained, ring, batch, device),
-        )
-    small = ring_rig(4, image_size=(256, 256))
+        steps = _steps(net, ring, batch, device)
+        yield Comparison(f"{title}: a training step of {batch}, without the optimiser", steps)
+    steps = {f"{BATCH} samples": _training(device)}
+    yield Comparison(f"default: a training step of {BATCH} samples that are rendered for it", steps)
+    for title, network in networks.items():
+        yield Comparison(f"{title}: a forward pass of {BATCH}", _forward(network(), ring, BATCH, device))
+    yield Comparison(
+        "memory that a forward pass adds",
+        {title: partial(_memory, network, ring, device) for title, network in networks.items()},
+        unit="MB",
+    )
+    small, scene = ring_rig(4, image_size=(256, 256)), make_scene("room", seed=1)
     yield Comparison(
         "four images of 256 x 256 rendered, one ray a pixel",
-        {
-            str(where): partial(_render, small.to(where))
-            for where in dict.fromkeys((torch.device("cpu"), device))
-        },
+        {name: partial(render_rig, scene, small.to(name)) for name in dict.fromkeys(("cpu", str(device)))},
     )
 
 
-def _parity(rig: CameraRig, images: dict[str, Tensor], device: torch.device) -> dict[str, Run]:
-    """How far the index on the device is from the CPU's, in the mean over what is seen."""
-
-    def difference(options: dict[str, Any], precision: Precision) -> float:
-        expected = Predictor(rig, min_depth=0.55, **options)(images)
-        depth = Predictor(rig, min_depth=0.55, device=device, precision=precision, **options)(images)
-        return float((depth.index.cpu() - expected.index)[expected.seen].abs().mean())
-
-    runs: dict[str, Run] = {precision: partial(difference, {}, precision) for precision in PRECISIONS}
-    return runs | {
-        f"{name}, float32": partial(difference, {"level": int(name[-1])}, "float32")
-        for name in list(SHIPPED)[1:]
-    }
+def _difference(
+    rig: CameraRig, images: dict[str, Tensor], device: torch.device, options: dict[str, Any]
+) -> float:
+    """How far the index on the device is from the CPU's in float32, in the mean over what is seen."""
+    expected = Predictor(rig, min_depth=0.55, level=options.get("level"))(images)
+    depth = Predictor(rig, min_depth=0.55, device=device, **options)(images)
+    return float((depth.index.cpu() - expected.index)[expected.seen].abs().mean())
 
 
 def _forward(net: DepthNetwork, rig: CameraRig, batch: int, device: torch.device) -> dict[str, Run]:
-    """A forward pass through tables that are there: eager, as a CUDA graph, and in less precision."""
+    """A forward pass through tables that are there: eager, as a CUDA graph, without one of our kernels, in less."""
     net = net.to(device).eval()
     images, tables = random_images(net.level, device, batch), net.tables(rig)
 
-    @torch.inference_mode()
-    def forward(inputs: Tensor) -> Tensor:
-        return net(inputs, tables)
+    def forward(within: Callable[[], AbstractContextManager[Any]], inputs: Tensor) -> Tensor:
+        with torch.inference_mode(), within():
+            return net(inputs, tables)
 
-    def reduced(precision: torch.dtype) -> Callable[[Tensor], Tensor]:
-        return torch.autocast(device.type, precision, cache_enabled=False)(forward)
+    reduced = partial(torch.autocast, device.type, cache_enabled=False)
+    ways: dict[str, Callable[[], AbstractContextManager[Any]]] = {
+        "float32": nullcontext,
+        "float32, hexagons by operators of torch": partial(
+            mock.patch, "sphericalvision.crown.by_lookups.by_triton", return_value=False
+        ),
+        "bfloat16": partial(reduced, torch.bfloat16),
+        "float16": partial(reduced, torch.float16),
+    }
+    runs: dict[str, Run] = {"eager": partial(forward, nullcontext, images)}
+    for name, within in ways.items():
+        run = partial(forward, within)
+        if device.type == "cuda":
+            runs[f"graph, {name}"] = partial(GraphedFunction(name, run), images)
+        else:
+            runs[name] = partial(run, images)
+    return _called(runs)
 
-    passes = {"float32": forward} | {name: reduced(getattr(torch, name)) for name in PRECISIONS[1:]}
-    runs: dict[str, Run] = {"eager": partial(forward, images)}
-    if device.type == "cuda":
-        runs |= {
-            f"graph, {name}": partial(GraphedFunction(name, run), images) for name, run in passes.items()
-        }
-        for run in runs.values():  # captures it
-            run()
-        return runs
-    return runs | {name: partial(run, images) for name, run in passes.items() if name != "float32"}
+
+def _called(runs: dict[str, Run]) -> dict[str, Run]:
+    """The same after a first call: a CUDA graph is captured at the second, with which measuring begins."""
+    for run in runs.values():
+        run()
+    return runs
 
 
 def _steps(net: DepthNetwork, rig: CameraRig, batch: int, device: torch.device) -> dict[str, Run]:
@@ -138,9 +152,31 @@ def _steps(net: DepthNetwork, rig: CameraRig, batch: int, device: torch.device) 
     return {"float32": step, "bfloat16": torch.autocast(device.type, torch.bfloat16)(step)}
 
 
+def _training(device: torch.device) -> Run:
+    """A step of the training of the default network in bfloat16, with samples that processes render beside it."""
+    run = instantiate_run(compose("train", [*TRAINING, f"data.batch_size={BATCH}"]), Path("training"))
+    module, data = run.module.to(device).train(), run.data
+    module.log = lambda *names, **options: None  # there is no trainer to log to
+    optimizer = module.configure_optimizers()["optimizer"]
+    batches = iter(data.train_dataloader())
+
+    def step() -> None:
+        batch = data.transfer_batch_to_device(next(batches), device, 0)
+        optimizer.zero_grad()
+        with torch.autocast(device.type, torch.bfloat16):
+            loss = module.training_step(batch, 0)
+        loss.backward()
+        optimizer.step()
+
+    return step
+
+
+def _memory(network: Callable[[], DepthNetwork], rig: CameraRig, device: torch.device) -> float:
+    """MB that a forward pass adds to network, images and tables."""
+    net = network().to(device).eval()
+    run = partial(net, random_images(net.level, device), net.tables(rig))
+    return added_memory(torch.inference_mode()(run), device)
+
+
 def _answer(predictor: Predictor, images: dict[str, Tensor]) -> Tensor:
     return predictor(images).index.cpu()
-
-
-def _render(rig: CameraRig) -> Any:
-    return render_rig(make_scene("room", seed=1), rig)

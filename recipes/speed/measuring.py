@@ -1,26 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measuring fairly: what is compared runs in turns, in one process, so that a busy machine slows all alike."""
+"""Measuring fairly: what is compared runs in turns, in one process, so that a busy machine slows all alike; tables."""
 
 from __future__ import annotations
 
 import ctypes
+import os
+import platform
+import re
 import statistics
+import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from contextlib import suppress
+from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
-from torch._subclasses.fake_tensor import FakeTensorMode
-from torch.utils.flop_counter import FlopCounterMode
+from torch.utils.benchmark import timer
 
-from sphericalvision.core import MissingCompilerError, check_choice, kernels, reference_kernels
+from sphericalvision.core import MissingCompilerError, check_choice, kernels
 from sphericalvision.crown import HexConv2d
 from sphericalvision.icosphere import num_icosphere_vertices
+from sphericalvision.io.files import write_bytes
 from sphericalvision.recipes.app.cli import console
+from sphericalvision.recipes.evaluation.records import write_json
+from sphericalvision.recipes.evaluation.tables import Table
 
 __all__ = [
     "OURS",
@@ -28,27 +35,29 @@ __all__ = [
     "Measurement",
     "Run",
     "added_memory",
-    "count_gflop",
+    "comparison_table",
+    "machine",
     "measure",
     "prepare_operators",
     "random_images",
+    "save_measurements",
     "ways",
 ]
 
 OURS = "sphericalvision"
+MOST_ROUNDS = 50
 
 Run = Callable[[], Any]
 
 
-@dataclass(frozen=True)
-class Comparison:
+class Comparison(NamedTuple):
     """Functions that do the same work.
 
     Attributes:
         title: what the work is.
         runs: name -> function without arguments; ratios refer to the first.
         note: a line below the table.
-        unit: "s": functions are timed; "MB": they return what was measured, and run three times.
+        unit: "s": functions are timed; any other: they return what was measured, and run once.
     """
 
     title: str
@@ -57,8 +66,7 @@ class Comparison:
     unit: str = "s"
 
 
-@dataclass(frozen=True)
-class Measurement:
+class Measurement(NamedTuple):
     """What came out for one function.
 
     Attributes:
@@ -67,8 +75,7 @@ class Measurement:
         median: over all rounds, in the comparison's unit.
         spread: half the distance between the quartiles, as a share of the median.
         ratio: how often this fits into the first function's: above 1 is faster, or smaller.
-        cpu: seconds of all threads together, which other processes hardly change; None of what is not timed.
-        first: seconds of the first call, which compiles and fills caches; None of what is not timed.
+        cpu: seconds of all threads together, which other processes hardly change; 0 of what is not timed.
         unit: of the median.
         note: of the comparison.
     """
@@ -78,60 +85,39 @@ class Measurement:
     median: float
     spread: float
     ratio: float
-    cpu: float | None
-    first: float | None
+    cpu: float
     unit: str
     note: str
 
 
-def measure(
-    comparison: Comparison, seconds: float = 2.0, device: torch.device | str = "cpu", most_rounds: int = 50
-) -> list[Measurement]:
-    """Run all functions in turns until each has had ``seconds`` (three rounds at least), after one to warm up.
+def measure(comparison: Comparison, seconds: float = 2.0) -> list[Measurement]:
+    """Run all functions in turns until one has had ``seconds`` (three rounds at least), after one to warm up.
 
     Ratios are medians over rounds, so that both sides of a ratio have met the same state of the machine.
     """
-    timed = comparison.unit == "s"
-    runs = comparison.runs
-    first = {name: _time(run, device)[0] for name, run in runs.items()} if timed else {}
-    walls: dict[str, list[float]] = {name: [] for name in runs}
-    cpus: dict[str, list[float]] = {name: [] for name in runs}
-    for done in range(most_rounds):
-        if done >= 3 and (not timed or max(map(sum, walls.values())) >= seconds):
-            break
-        for name, run in runs.items():
-            wall, cpu = _time(run, device) if timed else (float(run()), 0.0)
-            walls[name].append(wall)
-            cpus[name].append(cpu)
-    reference = next(iter(walls.values()))
-    rows = []
-    for name, column in walls.items():
-        busy = statistics.median(cpus[name]) if timed else None
-        facts = statistics.median(column), _spread(column), _ratio(reference, column), busy, first.get(name)
-        rows.append(Measurement(comparison.title, name, *facts, comparison.unit, comparison.note))
-    return rows
+    title, runs, note, unit = comparison
+    rounds: list[list[tuple[float, float]]] = []
+    if unit == "s":
+        for run in runs.values():
+            run()
+        while len(rounds) < 3 or (len(rounds) < MOST_ROUNDS and np.sum(rounds, 0)[:, 0].max() < seconds):
+            rounds.append([_time(run) for run in runs.values()])
+    else:
+        rounds.append([(float(run()), 0.0) for run in runs.values()])
+    walls, cpus = np.moveaxis(np.array(rounds), 2, 0)
+    low, median, high = np.quantile(walls, (0.25, 0.5, 0.75), axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):  # nothing at all is as good as nothing at all
+        ratios = np.nan_to_num(walls[:, :1] / walls, nan=1.0, posinf=np.inf)
+        spread = np.nan_to_num((high - low) / 2 / median)
+    numbers = np.stack((median, spread, np.median(ratios, 0), np.median(cpus, 0)), 1).tolist()
+    return [Measurement(title, name, *row, unit, note) for name, row in zip(runs, numbers, strict=True)]
 
 
-def _spread(column: Sequence[float]) -> float:
-    low, median, high = statistics.quantiles(column, n=4)
-    return (high - low) / 2 / median if median else 0.0
-
-
-def _ratio(reference: Sequence[float], own: Sequence[float]) -> float:
-    """Nothing at all is as good as nothing at all."""
-    return statistics.median(
-        a / b if b else 1.0 if a == b else float("inf") for a, b in zip(reference, own, strict=True)
-    )
-
-
-def _time(run: Run, device: torch.device | str) -> tuple[float, float]:
-    """Seconds of one call on the clock and of the CPU; of a GPU, what it was left to do is waited for."""
-    wait = partial(torch.cuda.synchronize, device) if torch.device(device).type == "cuda" else lambda: None
-    wait()
-    wall, cpu = time.perf_counter(), time.process_time()
+def _time(run: Run) -> tuple[float, float]:
+    """Seconds of one call on the clock, which waits for a GPU, and of the CPU."""
+    wall, cpu = timer(), time.process_time()
     run()
-    wait()
-    return time.perf_counter() - wall, time.process_time() - cpu
+    return timer() - wall, time.process_time() - cpu
 
 
 def ways(run: Run, options: Sequence[str], device: torch.device, inference: bool = True) -> dict[str, Run]:
@@ -169,25 +155,21 @@ def random_images(level: int, device: torch.device, batch: int = 1) -> Tensor:
     return 2 * torch.rand(batch, 4, 3, num_icosphere_vertices(level), device=device) - 1
 
 
-def count_gflop(run: Run) -> float:
-    """Operations of convolutions and matrix products in 1e9, done directly; counted on shapes alone."""
-    counter = FlopCounterMode(display=False)
-    with torch.no_grad(), reference_kernels(), FakeTensorMode(allow_non_fake_inputs=True), counter:
-        run()
-    return float(counter.get_total_flops()) / 1e9
-
-
 def added_memory(run: Run, device: torch.device) -> float:
-    """MB by which a run raises what is in use above what is held before.
+    """MB by which a run raises what is in use above what is held before: the median of three.
 
     Raises:
         AttributeError, OSError: the system does not tell; Linux does.
     """
+    return statistics.median(_added_memory(run, device) for _ in range(3))
+
+
+def _added_memory(run: Run, device: torch.device) -> float:
     if device.type == "cuda":
         torch.cuda.reset_peak_memory_stats(device)
-        held = torch.cuda.memory_allocated(device)
+        before = torch.cuda.memory_allocated(device)
         run()
-        return (torch.cuda.max_memory_allocated(device) - held) / 1e6
+        return (torch.cuda.max_memory_allocated(device) - before) / 1e6
     ctypes.CDLL(None).malloc_trim(0)  # what was freed is given back, and counts when it is taken again
     Path("/proc/self/clear_refs").write_text("5")  # a new high-water mark
     before = _resident("VmRSS")
@@ -199,3 +181,60 @@ def _resident(field: str) -> float:
     """MB of memory in use (``VmRSS``) or at most so far (``VmHWM``)."""
     lines = Path("/proc/self/status").read_text().splitlines()
     return next(float(line.split()[1]) for line in lines if line.startswith(field)) * 1024 / 1e6
+
+
+def machine(device: torch.device | str = "cpu") -> dict[str, str]:
+    """The machine, the software and the commit of the source tree in words, as far as the system tells.
+
+    Examples:
+        >>> sorted(machine())
+        ['commit', 'cores', 'device', 'processor', 'python', 'threads', 'torch']
+    """
+    processor, commit = platform.processor() or platform.machine(), ""
+    with suppress(OSError):
+        processor = re.findall(r"model name\s*: (.+)", Path("/proc/cpuinfo").read_text())[0]
+    with suppress(OSError):
+        command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
+        commit = subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
+    return {
+        "device": torch.cuda.get_device_name(device) if torch.device(device).type == "cuda" else "CPU",
+        "processor": f"{processor}, {torch.backends.cpu.get_cpu_capability()}",
+        "cores": str(os.cpu_count()),
+        "threads": str(torch.get_num_threads()),
+        "torch": torch.__version__,
+        "python": platform.python_version(),
+        "commit": commit,
+    }
+
+
+def comparison_table(rows: Sequence[Measurement]) -> Table:
+    """The measurements of one comparison; "a second" is how often the work is done in one."""
+    columns = ["", "median", "±", "ratio", "CPU", "a second"]
+    cells = [[row.name, _amount(row.median, row.unit), "", f"{row.ratio:.2f}", "", ""] for row in rows]
+    for row, line in zip(rows, cells, strict=True):
+        if row.unit == "s":
+            line[2], line[4:] = f"{row.spread:.0%}", [_amount(row.cpu, "s"), f"{1 / row.median:.3g}"]
+    return Table(rows[0].title, columns, [cells])
+
+
+def save_measurements(folder: Path, rows: Sequence[Measurement], facts: Mapping[str, str]) -> list[Path]:
+    """Write all comparisons as ``speed.md`` and ``speed.json``."""
+    parts = [", ".join(f"{key} {value}" for key, value in facts.items() if value) + "\n"]
+    for title, group in groupby(rows, lambda row: row.title):
+        own = list(group)
+        parts += [f"### {title}\n", comparison_table(own)._replace(title=own[0].note).markdown()]
+    write_bytes(folder / "speed.md", "\n".join(parts).encode())
+    write_json(folder / "speed.json", {"machine": dict(facts), "rows": [row._asdict() for row in rows]})
+    return [folder / "speed.md", folder / "speed.json"]
+
+
+def _amount(value: float, unit: str) -> str:
+    """Three digits and a unit.
+
+    Examples:
+        >>> _amount(0.0123, "s"), _amount(2.5, "s"), _amount(1234.5, "MB")
+        ('12.3 ms', '2.50 s', '1234 MB')
+    """
+    if unit != "s":
+        return f"{value:.0f} {unit}" if value >= 10 else f"{value:.3g} {unit}"
+    return f"{value * 1e3:.3g} ms" if value < 1 else f"{value:.3g} s" if value >= 10 else f"{value:.2f} s"

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prediction as it is used: frames a second of a ``Predictor``, and presets by cost and error."""
+"""Frames as they are used: of a ``Predictor``, by size and preset, with their errors; and rendered."""
 
 from __future__ import annotations
 
+import itertools
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
@@ -12,7 +13,7 @@ from hydra import compose
 from omegaconf import DictConfig
 from torch import Tensor
 
-from sphericalvision.cameras import ring_rig
+from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Predictor
 from sphericalvision.capture.estimating import threads_kept
 from sphericalvision.capture.preparation.preparation import AS_IT_IS
@@ -22,11 +23,12 @@ from sphericalvision.recipes.evaluation.methods import SCALE
 from sphericalvision.recipes.evaluation.places import FrameTruth
 from sphericalvision.recipes.evaluation.track_frames import Size, TrackFrame, render_frame
 from sphericalvision.recipes.evaluation.tracks import TRACKS
-from sphericalvision.recipes.speed.measuring import Comparison, added_memory
+from sphericalvision.recipes.speed.measuring import Comparison, Run, added_memory
 from sphericalvision.scenes import make_scene, render_rig
+from sphericalvision.scenes.registry import scene_kinds
 from sphericalvision.sweep import index_from_inverse_depth
 
-__all__ = ["fps", "presets"]
+__all__ = ["data", "fps", "presets"]
 
 CONDITIONS = {
     "clean": ("clean",),
@@ -42,6 +44,20 @@ FIRST = 56
 """Of their scenes: those before had a part in the choice of weights that ship."""
 
 
+def data(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
+    """Rendering of ``num_frames`` seeds in turn, scenes included."""
+    height, width = config.image_size
+    rig = ring_rig(4, image_size=(height, width))
+
+    def render(kind: str, seeds: Iterator[int]) -> object:
+        return render_rig(make_scene(kind, next(seeds)), rig)
+
+    yield Comparison(
+        f"rendering: four images of {height} x {width}, one ray a pixel",
+        {kind: partial(render, kind, itertools.cycle(range(config.num_frames))) for kind in scene_kinds()},
+    )
+
+
 def fps(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     """A call of a ``Predictor`` by size of the images, preset, and threads."""
     for side in config.image_sides:
@@ -49,7 +65,7 @@ def fps(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
         images = render_rig(make_scene("room", seed=1), rig)
         runs = {}
         for preset in config.presets:
-            predictor = predictor_for(rig, preset_config(preset, device))
+            predictor = preset_predictor(preset, rig, device)
             for threads in THREADS if device.type == "cpu" else (1,):
                 runs[f"{preset}, {threads} threads"] = partial(_on_threads, predictor, images, threads)
         yield Comparison(f"Predictor: a frame of four images of {side} x {side}", runs)
@@ -57,8 +73,7 @@ def fps(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
 
 def presets(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     """Speed against accuracy: presets on ``config.num_frames`` scenes of each condition, four images each."""
-    side = min(IMAGE_ROWS, max(config.image_sides))
-    size = Size(image_rows=side, preparation=AS_IT_IS)
+    size = Size(image_rows=min(IMAGE_ROWS, max(config.image_sides)), preparation=AS_IT_IS)
     frames = {
         name: [
             render_frame(TRACKS[tracks[i % len(tracks)]], FIRST + i, size) for i in range(config.num_frames)
@@ -66,16 +81,19 @@ def presets(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
         for name, tracks in CONDITIONS.items()
     }
     first = next(iter(frames.values()))[0]
-    runs = {}
-    for preset in config.presets:
-        predictor = predictor_for(first.rig, preset_config(preset, device))
-        errors = ", ".join(f"{name} {_error(predictor, each):.2f}" for name, each in frames.items())
-        run = partial(predictor, first.images)
-        run()  # tables of the rig, once
-        held = f"; {added_memory(run, device):.0f} MB" if config.memory else ""
-        runs[f"{preset}: {errors}{held}"] = partial(_on_threads, predictor, first.images, 1)
-    note = "Mean error at level 4 where two cameras see, % of N = 16; memory that a frame adds; one thread"
-    yield Comparison(f"presets, {config.num_frames} scenes a condition", runs, note)
+    predictors = {name: preset_predictor(name, first.rig, device) for name in config.presets}
+    for condition, own in frames.items():
+        yield Comparison(
+            f"presets: mean error at level 4 where two cameras see, {config.num_frames} {condition} scenes",
+            {name: partial(_error, predictor, own) for name, predictor in predictors.items()},
+            unit="% of N",
+        )
+    calls: dict[str, Run] = {
+        name: partial(_on_threads, predictor, first.images, 1) for name, predictor in predictors.items()
+    }
+    yield Comparison("presets: a frame, one thread", calls)
+    memory = {name: partial(added_memory, run, device) for name, run in calls.items()}
+    yield Comparison("presets: memory that a frame adds", memory, unit="MB")
 
 
 def _error(predictor: Predictor, frames: Sequence[TrackFrame]) -> float:
@@ -91,12 +109,11 @@ def _error(predictor: Predictor, frames: Sequence[TrackFrame]) -> float:
     return statistics.fmean(errors)
 
 
-def preset_config(name: str, device: torch.device) -> PredictConfig:
-    """The configuration of ``sphericalvision-predict`` under a preset, for scenes of natural size."""
+def preset_predictor(name: str, rig: CameraRig, device: torch.device) -> Predictor:
+    """What ``sphericalvision-predict`` makes under a preset, for scenes of natural size."""
     words = ["calibration=rig.yaml", "images=images", f"device={device.type}", "min_depth=0.55"]
-    return typed(
-        PredictConfig, compose("predict", words if name == "default" else [f"preset={name}", *words])
-    )
+    config = compose("predict", words if name == "default" else [f"preset={name}", *words])
+    return predictor_for(rig, typed(PredictConfig, config))
 
 
 def _on_threads(predictor: Predictor, images: Mapping[str, Tensor], threads: int) -> None:

@@ -104,9 +104,8 @@ class _CrownBatchNorm(_BatchNorm):
         scale = (self.running_var + self.eps).rsqrt()
         if self.weight is not None:
             scale = scale * self.weight
-        shift = self.running_mean * scale
-        shift = -shift if self.bias is None else self.bias - shift
-        return weight * scale[:, None, None], shift
+        bias = torch.zeros_like(scale) if self.bias is None else self.bias
+        return weight * scale[:, None, None], torch.addcmul(bias, self.running_mean, scale, value=-1)
 
 
 @constant_table

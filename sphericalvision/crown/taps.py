@@ -89,20 +89,21 @@ def planar_kernel(weight: Float[Tensor, "*filters 7"], taps: Taps) -> Float[Tens
 def planar_kernels(
     weight: Float[Tensor, "C_out C_in 7"] | Float[Tensor, "C_out C_in 21"],
 ) -> Float[Tensor, "2 C_out C_in *depth 3 3"]:
-    """Arrange the weight of a convolution for col and for row rectangles, by two operators."""
-    weight = F.pad(weight if weight.shape[-1] == 7 else weight.unflatten(-1, (3, 7)), (0, 1))
-    both = _planar_taps((*COL_TAPS, *ROW_TAPS), weight.device)
-    index = both.view(2, *(1,) * (weight.ndim - 1), 9)
-    return (
-        weight.expand(2, *weight.shape)
-        .gather(-1, index.expand(2, *weight.shape[:-1], 9))
-        .unflatten(-1, (3, 3))
-    )
+    """Arrange the weight of a convolution for col and for row rectangles, by one operator.
+
+    A product with ones and zeros, and so exact; where matrix products may use TF32, as convolutions do by default, it
+    rounds as these do.
+    """
+    depth = () if weight.shape[-1] == 7 else (3,)
+    rows = weight.reshape(1, -1, 7).expand(2, -1, -1)
+    return rows.bmm(_planar_taps(weight.dtype, weight.device)).view(2, *weight.shape[:2], *depth, 3, 3)
 
 
 @constant_table
-def _planar_taps(taps: Taps, device: torch.device) -> Tensor:
-    return torch.tensor(taps, device=device).flatten()
+def _planar_taps(dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Which tap stands where in the planar kernels of both kinds of rectangles, ``(2, 7, 9)``."""
+    taps = torch.tensor((COL_TAPS, ROW_TAPS), device=device).flatten(1)
+    return F.one_hot(taps, 8)[..., :7].mT.to(dtype).contiguous()
 
 
 def neighbor_taps(taps: Taps) -> list[int]:

@@ -16,15 +16,16 @@ class MeansById(NamedTuple):
     """Where the places of each id are, for ids most of which have equally many places.
 
     Attributes:
-        places: ``(k, size)``, k the most frequent number of places; of other ids any places.
-        more: ``(m, E)`` places of the E ids that have another number, m at most.
-        more_shares: ``(m, E)`` of each in the mean.
+        reads: ``(k * size + m * E,)`` places: k of each id, the most frequent number of them, of other ids any; then
+            those of the E ids that have another number, m at most.
+        size: number of ids.
+        shares: ``(m, E)`` of the latter in the mean.
         others: ``(E,)`` these ids.
     """
 
-    places: Int[Tensor, "k size"]
-    more: Int[Tensor, "m E"]
-    more_shares: Float[Tensor, "m E"]
+    reads: Int[Tensor, " reads"]
+    size: int
+    shares: Float[Tensor, "m E"]
     others: Int[Tensor, " E"]
 
 
@@ -32,9 +33,8 @@ def means_by_id(ids: Int[Tensor, " P"], size: int) -> MeansById:
     """Return the tables of P places with ids from 0 to size - 1, each of which occurs.
 
     Examples:
-        >>> means_by_id(torch.tensor([1, 0, 1, 0, 1]), 2).places
-        tensor([[1, 0],
-                [3, 2]])
+        >>> means_by_id(torch.tensor([1, 0, 1, 0, 1]), 2).reads
+        tensor([1, 0, 3, 2, 0, 2, 4])
     """
     counts = ids.bincount(minlength=size)
     first = counts.cumsum(0) - counts
@@ -49,7 +49,8 @@ def means_by_id(ids: Int[Tensor, " P"], size: int) -> MeansById:
 
     every = torch.arange(size, device=ids.device)
     others = (counts != usual).nonzero()[:, 0]
-    return MeansById(table(every, usual)[0], *table(others, most), others)
+    more, shares = table(others, most)
+    return MeansById(torch.cat((table(every, usual)[0].flatten(), more.flatten())), size, shares, others)
 
 
 def mean_by_id(values: Float[Tensor, "*batch P"], tables: MeansById) -> Float[Tensor, "*batch size"]:
@@ -59,12 +60,10 @@ def mean_by_id(values: Float[Tensor, "*batch P"], tables: MeansById) -> Float[Te
         >>> mean_by_id(torch.tensor([1.0, 2.0, 3.0, 4.0, 8.0]), means_by_id(torch.tensor([1, 0, 1, 0, 1]), 2))
         tensor([3., 4.])
     """
-    usual = _look_up(values, tables.places).mean(-2)
-    if not len(tables.others):
-        return usual
-    more = (_look_up(values, tables.more) * tables.more_shares.to(values.dtype)).sum(-2)
-    return usual.index_copy(-1, tables.others, more.to(usual.dtype))  # autocast sums in float32
-
-
-def _look_up(values: Tensor, places: Tensor) -> Tensor:
-    return values.index_select(-1, places.flatten()).unflatten(-1, tuple(places.shape))
+    number = tables.shares.numel()
+    usual, more = values.index_select(-1, tables.reads).split((len(tables.reads) - number, number), -1)
+    means = usual.unflatten(-1, (-1, tables.size)).mean(-2)
+    if not number:
+        return means
+    more = (more.unflatten(-1, tuple(tables.shares.shape)) * tables.shares.to(values.dtype)).sum(-2)
+    return means.index_copy_(-1, tables.others, more.to(means.dtype))  # autocast sums in float32

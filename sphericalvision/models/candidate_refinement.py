@@ -20,7 +20,7 @@ from sphericalvision.icosphere import (
 )
 from sphericalvision.icosphere.hierarchy import icosphere_vertex_parents
 from sphericalvision.models.hexunet import HexResidualBlock
-from sphericalvision.models.logit_fusion import FusedLogits, HintedIndex, two_modes
+from sphericalvision.models.logit_fusion import FusedLogits, HintedIndex, tried_index, two_modes
 from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth
 
 __all__ = ["CandidateRefinement", "Candidates", "RefinedIndex", "candidates_of", "finer_logits", "with_sky"]
@@ -155,8 +155,7 @@ def finer_logits(fused: FusedLogits, index: Float[Tensor, "B V_fine"]) -> FusedL
         (tensor([8]), torch.Size([1, 2, 162]))
     """
     logits = icosphere_upsample(fused.logits)
-    positions = torch.arange(logits.shape[1], device=logits.device)[:, None] / 2
-    distance = (positions - index.detach()[:, None]).abs().clamp(max=2)
+    distance = (tried_index(logits.shape[1], logits.device) - index.detach()[:, None]).abs().clamp(max=2)
     return FusedLogits(logits.log_softmax(1) - SHARPENING * distance, icosphere_upsample(fused.state))
 
 
@@ -205,8 +204,7 @@ def candidates_of(
             for parent in (one, other)
         ]
         step = (ours - theirs).abs()
-        positions = torch.arange(logits.shape[1], device=logits.device)[:, None] / 2
-        spread = (probability * (positions - best[:, None]).abs()).sum(1)
+        spread = (probability * (tried_index(logits.shape[1], logits.device) - best[:, None]).abs()).sum(1)
         spread = (spread[:, one] + spread[:, other]) / 2
     both = (likely[0] + likely[1]) / 2
     if hint is not None:

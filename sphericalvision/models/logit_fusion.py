@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from sphericalvision.core import constant_table
 from sphericalvision.models.hexunet import HexUNet
 from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth
 
@@ -21,6 +22,7 @@ __all__ = [
     "SweepClues",
     "at_index",
     "between_hypotheses",
+    "tried_index",
     "two_modes",
     "with_hint",
 ]
@@ -190,8 +192,9 @@ class LogitFusion(nn.Module):
         Before training a hint counts less, everywhere, the more it costs in the sweep of what any answer would: a wrong
         one costs as much, and a right one a third or less, however bare surfaces are.
         """
-        positions = torch.arange(self.sizes[0], device=values.device)[:, None] / 2
-        distance = (positions - hint.index[:, None]).abs().clamp(max=HINT_REACH)
+        distance = (
+            (tried_index(self.sizes[0], values.device) - hint.index[:, None]).abs().clamp(max=HINT_REACH)
+        )
         gate = self.hint_exit(values).clamp(-3, 3).exp()
         of_hint, of_any = (hint_clues[:, 2:4] * compared[:, None]).sum(-1, keepdim=True).unbind(1)
         trust = (TRUST_SLOPE * (0.45 - of_hint / of_any.clamp(min=1e-6))).sigmoid()[:, None]
@@ -211,6 +214,12 @@ def between_hypotheses(logits: Float[Tensor, "B N V"]) -> Float[Tensor, "B M V"]
     """
     middle = (logits[:, 1:] + logits[:, :-1]) / 2
     return torch.cat((torch.stack((logits[:, :-1], middle), 2).flatten(1, 2), logits[:, -1:]), 1)
+
+
+@constant_table
+def tried_index(number: int, device: torch.device) -> Float[Tensor, "M 1"]:
+    """Return the index of each of M = 2 N - 1 tried hypotheses, ``(M, 1)``."""
+    return torch.arange(number, device=device)[:, None] / 2
 
 
 def at_index(values: Float[Tensor, "B M V"], index: Float[Tensor, "B V"]) -> Float[Tensor, "B V"]:
@@ -239,14 +248,14 @@ def two_modes(logits: Float[Tensor, "B M V"]) -> tuple[Float[Tensor, "B V"], Flo
         >>> [round(index.item(), 3) for index in two_modes(logits)]
         [4.0, 10.0]
     """
-    positions = torch.arange(logits.shape[1], device=logits.device)[:, None]
+    index = tried_index(logits.shape[1], logits.device)
 
     def far_from_best(scores: Tensor) -> Tensor:
         # argmax takes four times as long as max
-        return (positions - scores.max(1, keepdim=True).indices).abs() > REACH
+        return index.sub(scores.max(1, keepdim=True).indices, alpha=0.5).abs() > REACH / 2
 
     def expected(far: Tensor) -> Tensor:
-        return (logits.masked_fill(far, -torch.inf).softmax(1) * positions).sum(1) / 2
+        return (logits.masked_fill(far, -torch.inf).softmax(1) * index).sum(1)
 
     scores = logits.detach()
     far = far_from_best(scores)

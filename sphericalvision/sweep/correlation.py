@@ -165,9 +165,10 @@ def window_correlations(
     # Means over a window count what is seen of it alone: those of values by that of `seen`, the share.
     share = ring_mean(seen).clamp(min=1e-6)
     local = (colors - ring_mean(colors) / share[:, :, None]) * seen[:, :, None]
-    products = [(local[:, a] * local[:, b]).sum(1) for a, b in _pairs(num_cameras)]
+    # A camera with all behind it at once, which are its pairs in their order.
+    products = [(local[:, a : a + 1] * local[:, a + 1 :]).sum(2) for a in range(num_cameras - 1)]
     # Squares of each camera and products of each pair, colours summed up: n + n (n - 1) / 2 planes for one gather.
-    planes = torch.cat((local.square().sum(2), torch.stack(products, 1)), 1)
+    planes = torch.cat((local.square().sum(2), *products), 1)
     planes = ring_mean(planes, level)
     share = share[ids_of_coarser_level(level_from_num_vertices(len(seen)), level, seen.device)]
     variance = planes[:, :num_cameras] / share + noise**2

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.core import ShapeError, check_floating, check_tensor
+from sphericalvision.core import ShapeError, check_floating, check_tensor, constant_table
 
 __all__ = ["DepthEstimate", "depth_estimate", "soft_argmax", "soft_argmax_confidence"]
 
@@ -88,8 +88,7 @@ def soft_argmax_confidence(logits: Float[Tensor, "*batch N V"]) -> Float[Tensor,
         tensor([1.])
     """
     probability = _probabilities(logits)
-    index = torch.arange(logits.shape[-2], dtype=probability.dtype, device=logits.device)
-    near = (index[:, None] - _expectation(probability).floor().unsqueeze(-2) - 0.5).abs() < 2
+    near = (_index(probability) - _expectation(probability).floor().unsqueeze(-2) - 0.5).abs() < 2
     return (probability * near).sum(-2)
 
 
@@ -104,5 +103,13 @@ def _probabilities(logits: Tensor) -> Tensor:
 
 def _expectation(probability: Tensor) -> Tensor:
     """The mean index. A product and a sum, which autocast leaves in their precision, unlike a matrix product."""
-    index = torch.arange(probability.shape[-2], dtype=probability.dtype, device=probability.device)
-    return (probability * index[:, None]).sum(-2)
+    return (probability * _index(probability)).sum(-2)
+
+
+def _index(probability: Tensor) -> Tensor:
+    return _hypotheses(probability.shape[-2], probability.dtype, probability.device)
+
+
+@constant_table
+def _hypotheses(number: int, dtype: torch.dtype, device: torch.device) -> Tensor:
+    return torch.arange(number, dtype=dtype, device=device)[:, None]

@@ -55,10 +55,10 @@ def sample(net: DepthNetwork, batch: int = 1) -> tuple[torch.Tensor, Any]:
 
 
 SHIPPED: dict[str, tuple[Callable[[], DepthNetwork], int]] = {
-    "refinedsweepnet": (pretrained, 1775),
-    "refinedsweepnet-fast": (lambda: pretrained("refinedsweepnet-fast"), 1520),
-    "icosweepnet-small": (lambda: pretrained("icosweepnet-small"), 460),
-    "the paper's": (lambda: IcoSweepNet(4, 32, feature_channels=4), 570),
+    "refinedsweepnet": (pretrained, 1700),
+    "refinedsweepnet-fast": (lambda: pretrained("refinedsweepnet-fast"), 1445),
+    "icosweepnet-small": (lambda: pretrained("icosweepnet-small"), 415),
+    "the paper's": (lambda: IcoSweepNet(4, 32, feature_channels=4), 470),
     "omnimvs": (lambda: OmniMVS(8, feature_channels=2, output_size=(16, 64)), 165),
 }
 """Network, and operators without views that a forward pass asks for at most: the same at any level, but for the

@@ -117,9 +117,8 @@ def find_in_few_steps(
     scale = half / rays.abs().sum(0)
     across = torch.stack((x + z, x - z)) * scale + half
     row, column = across.int().clamp(0, table.resolution - 1)
-    triangles = table.cells.index_select(
-        0, ((y < 0).int() * table.resolution + row) * table.resolution + column
-    )
+    row = row.add(y < 0, alpha=table.resolution)
+    triangles = table.cells.index_select(0, column.add(row, alpha=table.resolution))
     matrices = _matrix_rows(table.level, rays.dtype, rays.device)
     slack = 8 * 2**table.level * torch.finfo(rays.dtype).eps
     columns = rays.T[:, :, None]
@@ -127,7 +126,7 @@ def find_in_few_steps(
         shares = (matrices.index_select(0, triangles).view(-1, 3, 3) * columns).sum(1)
         if step < FEW_STEPS:
             least, corner = shares.min(1)
-            beyond = table.neighbors.index_select(0, triangles * 3 + corner)
+            beyond = table.neighbors.index_select(0, corner.add(triangles, alpha=3))
             triangles = beyond.where(least < -slack * shares.sum(1), triangles)
     return triangles, convex(shares, 1).T
 

@@ -51,7 +51,7 @@ MODELS: dict[str, Callable[[], Camera]] = {
     "Kannala-Brandt": partial(KannalaBrandtCamera, *PINHOLE, DISTORTION, SIZE, WIDE),
     "unified": partial(UnifiedCamera, *PINHOLE, 0.9, None, SIZE),
     "extended unified": partial(ExtendedUnifiedCamera, *PINHOLE, 0.6, 1.1, SIZE),
-    "double sphere": partial(DoubleSphereCamera, *PINHOLE, *DOUBLE_SPHERE, SIZE, WIDE),
+    "double sphere": partial(DoubleSphereCamera, *PINHOLE, DOUBLE_SPHERE[0], DOUBLE_SPHERE[1], SIZE, WIDE),
     "radial polynomial": partial(RadialPolynomialCamera, [240.0, -2.0, 12.0, -4.0], CENTER, 1.0, SIZE, WIDE),
     "OCam, inverse polynomial": partial(OCamCamera, OCAM, OCAM_INVERSE, CENTER, AFFINE, SIZE, WIDE),
     "OCam, exact inverse": partial(OCamCamera, OCAM, None, CENTER, AFFINE, SIZE, WIDE),

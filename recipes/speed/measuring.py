@@ -109,8 +109,11 @@ def measure(comparison: Comparison, seconds: float = 2.0) -> list[Measurement]:
     with np.errstate(divide="ignore", invalid="ignore"):  # nothing at all is as good as nothing at all
         ratios = np.nan_to_num(walls[:, :1] / walls, nan=1.0, posinf=np.inf)
         spread = np.nan_to_num((high - low) / 2 / median)
-    numbers = np.stack((median, spread, np.median(ratios, 0), np.median(cpus, 0)), 1).tolist()
-    return [Measurement(title, name, *row, unit, note) for name, row in zip(runs, numbers, strict=True)]
+    columns = (column.tolist() for column in (median, spread, np.median(ratios, 0), np.median(cpus, 0)))
+    return [
+        Measurement(title, name, middle, half, ratio, cpu, unit, note)
+        for name, middle, half, ratio, cpu in zip(runs, *columns, strict=True)
+    ]
 
 
 def _time(run: Run) -> tuple[float, float]:
@@ -167,9 +170,9 @@ def added_memory(run: Run, device: torch.device) -> float:
 def _added_memory(run: Run, device: torch.device) -> float:
     if device.type == "cuda":
         torch.cuda.reset_peak_memory_stats(device)
-        before = torch.cuda.memory_allocated(device)
+        held = torch.cuda.memory_allocated(device)
         run()
-        return (torch.cuda.max_memory_allocated(device) - before) / 1e6
+        return (torch.cuda.max_memory_allocated(device) - held) / 1e6
     ctypes.CDLL(None).malloc_trim(0)  # what was freed is given back, and counts when it is taken again
     Path("/proc/self/clear_refs").write_text("5")  # a new high-water mark
     before = _resident("VmRSS")

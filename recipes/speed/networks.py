@@ -198,8 +198,9 @@ def convolutions(config: DictConfig, device: torch.device) -> Iterator[Compariso
                 *(kind(channels, channels) for kind in classes[1:]),
             ]
             runs: dict[str, Run] = {}
-            for name, layer, inputs in zip(names, layers, (image, values, to_crown(values)), strict=True):
-                runs[name] = _forward_and_backward(layer.to(device), inputs)
+            inputs: list[Tensor | Crown] = [image, values, to_crown(values)]
+            for name, layer, values_in in zip(names, layers, inputs, strict=True):
+                runs[name] = _forward_and_backward(layer.to(device), values_in)
                 if name != "planar" and "layers" in config.options:
                     runs[f"{name}, layers"] = kernels("plain")(runs[name])
             hypotheses = "".join(f", {number} hypotheses" for number in depth)
@@ -209,13 +210,13 @@ def convolutions(config: DictConfig, device: torch.device) -> Iterator[Compariso
 
 def _forward_and_backward(layer: nn.Module, values: Tensor | Crown) -> Run:
     """Apply a layer and derive by its input and its parameters."""
-    crown = isinstance(values, Crown)
-    inputs = [tensor.detach().requires_grad_() for tensor in (values if crown else (values,))]
-    argument = Crown(*inputs) if crown else inputs[0]
+    tensors = values if isinstance(values, Crown) else (values,)
+    inputs = [tensor.detach().requires_grad_() for tensor in tensors]
+    argument = Crown(*inputs) if isinstance(values, Crown) else inputs[0]
 
     def outputs() -> list[Tensor]:
         result = layer(argument)
-        return list(result) if crown else [result]
+        return list(result) if isinstance(result, Crown) else [result]
 
     weights = [torch.randn_like(output) for output in outputs()]
     return lambda: torch.autograd.grad(outputs(), [*inputs, *layer.parameters()], weights)

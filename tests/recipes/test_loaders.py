@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 import pytorch_lightning as pl
-from omegaconf import OmegaConf
+import yaml
 
 import sphericalvision.conf
 from sphericalvision.recipes.app.cli import build
@@ -47,7 +47,7 @@ FOLDER = Path(sphericalvision.conf.__file__).parent / "data"
 KINDS = {
     node["_target_"]: path.stem
     for path in sorted(FOLDER.glob("[a-z]*.yaml"), reverse=True)
-    if "_target_" in (node := OmegaConf.load(path))
+    if "_target_" in (node := yaml.safe_load(path.read_text()))
 }
 """A file of each class of data modules."""
 

@@ -134,6 +134,13 @@ def test_the_readme_names_the_folders_of_the_tree() -> None:
     assert sorted(named) == sorted(package | {"core.py", "recipes", "conf", "docs", "tests"})
 
 
+def test_the_readme_has_the_numbers_of_the_first_page() -> None:
+    readme, first = ((ROOT / name).read_text() for name in ("README.md", "docs/index.md"))
+    table = re.search(r"^\| scenes or rig \|(.*\n\|)+.*\n", first, re.MULTILINE)
+    assert table is not None
+    assert table[0] in readme
+
+
 def test_relative_links_lead_to_files() -> None:
     broken = []
     for page in PAGES:

@@ -30,7 +30,6 @@ from sphericalvision.recipes.app.captures import AUTO, CaptureFields, with_own_b
 from sphericalvision.recipes.app.cli import console
 from sphericalvision.recipes.app.kinds import Count, Number, Positive, Share
 from sphericalvision.recipes.datamodules.data_module import PreparedSamples, Sample
-from sphericalvision.recipes.datamodules.entries import check_on_icospheres
 from sphericalvision.scenes import World, WorldSamples
 from sphericalvision.scenes.cache import decode, encode
 from sphericalvision.scenes.disturbances import RandomFaults
@@ -156,7 +155,8 @@ class CaptureDataModule(CaptureFields, PreparedSamples):
         Raises:
             ArgumentError: the network is not one on icospheres, or for another number of cameras.
         """
-        check_on_icospheres(net, "captures")
+        if net.images != "sphere" or net.depth_level is None:
+            raise ArgumentError(f"data: captures are for networks on icospheres, not {type(net).__name__}")
         check_number(net, self.rig)
         self.net = net
 

@@ -18,15 +18,7 @@ from sphericalvision.recipes.datamodules.data_module import SampleDataModule
 from sphericalvision.scenes.samples import images_as_floats
 from sphericalvision.scenes.world import NATURAL_MIN_DEPTH
 
-__all__ = [
-    "DepthDataModule",
-    "Entries",
-    "check_on_icospheres",
-    "images_of",
-    "truth_of",
-    "view_of",
-    "view_with",
-]
+__all__ = ["DepthDataModule", "Entries", "images_of", "truth_of", "view_of", "view_with"]
 
 Sample = dict[str, Any]
 
@@ -98,12 +90,6 @@ def view_with(entries: Sequence[str], view: SampleView) -> SampleView:
         images="fisheye" in entries,
         panorama=view.panorama if "panorama" in entries else None,
     )
-
-
-def check_on_icospheres(net: DepthNetwork, samples: str) -> None:
-    """Refuse a network that takes or gives anything that is not on an icosphere."""
-    if net.images != "sphere" or net.depth_level is None:
-        raise ArgumentError(f"data: {samples} are for networks on icospheres, not {type(net).__name__}")
 
 
 def images_of(batch: Sample, net: DepthNetwork) -> tuple[Tensor, Tensor | None]:

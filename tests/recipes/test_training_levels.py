@@ -3,11 +3,15 @@
 
 from __future__ import annotations
 
+import csv
 import math
+import re
 import threading
 import time
 from collections.abc import Iterator
 from itertools import islice
+from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 import pytest
@@ -27,6 +31,8 @@ from sphericalvision.recipes.training.rig_tables import RigTables, _tensors
 from sphericalvision.recipes.training.schedule import CosineToTheEnd, progress_only
 from sphericalvision.scenes.draws import Draws
 from sphericalvision.scenes.random_rigs import random_rig
+from tests.documented import ROOT, commands_of
+from tests.recipes.tiny import Run
 from tests.worlds import RANDOM_RIGS
 
 LEVELS: dict[int, LevelSamples] = {
@@ -205,3 +211,20 @@ def test_the_schedule_ends_with_the_time(monkeypatch: pytest.MonkeyPatch) -> Non
     assert math.isclose(resumed.get_last_lr()[0], 0.01, abs_tol=1e-6)
     with pytest.raises(ArgumentError, match="an end"):
         schedule()
+
+
+@pytest.mark.slow
+def test_the_loss_of_the_first_steps_is_in_the_range_on_the_page(run: Run, tmp_path: Path) -> None:
+    """The command of the page ends after 50 of its 600 steps."""
+    page = ROOT / "docs/guide/refinedsweepnet.md"
+    (words,) = (command.words for command in commands_of(page) if "trainer.max_steps=600" in command.words)
+    ((low, high),) = re.findall(
+        r"^\| 11 to 50 \| [\d.]+ \| ([\d.]+) to ([\d.]+) \|$", page.read_text(), re.MULTILINE
+    )
+    few = "trainer.max_steps=50", "scheduler.max_steps=600", "data.num_val=1", "callbacks.panels.num_frames=0"
+    run("train", *words, *few, "trainer.accelerator=cpu", "output=run")
+    (log,) = tmp_path.glob("run/metrics/*/metrics.csv")
+    with log.open() as file:
+        losses = [float(row["train/loss"]) for row in csv.DictReader(file) if row["train/loss"]]
+    assert len(losses) == 50
+    assert float(low) < fmean(losses[10:]) < float(high)

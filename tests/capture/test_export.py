@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from functools import cache
 from pathlib import Path
 
@@ -243,6 +244,18 @@ def test_pt2_and_onnx_compute_the_same(tmp_path: Path) -> None:
         pytest.importorskip(package, reason="pip install sphericalvision[onnx]")
     path = export_onnx(exported, tmp_path / "depth.onnx")
     assert onnx_difference(path, program, images) < 1e-4
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("g++") is None, reason="no g++")
+def test_a_compiled_program_computes_the_same(tmp_path: Path) -> None:
+    program = RigProgram(predictor(), "camera", height=6)
+    package = compile_program(export_program(program), tmp_path / "depth.pt2")
+    images = example_images(program)
+    with torch.inference_mode():
+        compiled = torch._inductor.aoti_load_package(str(package))(images)
+        for ours, theirs in zip(program(images), compiled, strict=True):
+            torch.testing.assert_close(theirs, ours, rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.slow

@@ -17,7 +17,11 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Depth, Hint, Predictor
-from sphericalvision.icosphere import icosphere_upsample, num_icosphere_vertices
+from sphericalvision.icosphere import (
+    Icosphere,
+    icosphere_upsample,
+    num_icosphere_vertices,
+)
 from sphericalvision.scenes import World, make_scene, ray_depth, render_rig
 from sphericalvision.sweep import DepthHint, index_from_inverse_depth
 
@@ -69,6 +73,15 @@ def hints(
     )
     yield "of another scene", DepthHint(other, every)
     yield "half as far away", DepthHint(2 * truth, every)
+    grid = Icosphere(level)
+    turned = grid.nearest(
+        grid.vertices[:, [2, 1, 0]] * grid.vertices.new_tensor([1, 1, -1])
+    )
+    yield "turned by 90 degrees", DepthHint(truth[:, turned], every)
+    yield (
+        "random, smooth",
+        DepthHint(truth.median() * noise(level, 0.7, generator), every),
+    )
 
 
 def of_hints(weights: str, level: int) -> str:

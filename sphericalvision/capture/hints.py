@@ -17,8 +17,9 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_tensor, check_type
 from sphericalvision.geometry.surfaces import distance_along
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.models.logit_fusion import DISTRUST, HintedIndex, agreement
 from sphericalvision.sphere.resampling.views import Views
-from sphericalvision.sweep import DepthHint
+from sphericalvision.sweep import DepthHint, index_from_inverse_depth
 
 if TYPE_CHECKING:
     from sphericalvision.capture.result import Depth
@@ -34,8 +35,8 @@ ROUNDS = 10
 """Of fitting, each with less weight for what is far off."""
 MOST_REST = 0.3
 """Of the median inverse depth, the median deviation beyond which a view does not agree."""
-FAR_OFF = 0.4
-"""Median relative deviation of a hint from the depth that was found, from which on it is said."""
+NUMBER, SURE = 16, 0.8
+"""Hypotheses in which a hint is compared with the depth that was found, and the confidence of what is compared."""
 SAME_SURFACE = 0.8
 """Of the nearest inverse depth at a vertex, above which points lie on the same surface."""
 CARRIED = 0.8
@@ -263,16 +264,19 @@ class Hint:
 
 
 def warn_if_far(hint: DepthHint, depth: Depth) -> None:
-    """Warn where a hint has little to do with the depth that was found, as one of another frame has."""
-    inverse_depth, sure = (
-        values.reshape(hint.weight.shape) for values in (depth.inverse_depth, depth.confidence)
+    """Warn where a hint agrees hardly with the depth that was found, as one of another frame: it did not count."""
+    known, answer = (
+        index_from_inverse_depth(values.reshape(hint.weight.shape), NUMBER, depth.min_depth).clamp(
+            max=NUMBER - 1
+        )
+        for values in (hint.inverse_depth, depth.inverse_depth)
     )
-    compared = (hint.weight > 0) & (sure > 0.5) & (inverse_depth * depth.max_depth > 1)
-    ratio = (hint.inverse_depth / inverse_depth - 1).abs()[compared]
-    if len(ratio) >= FEWEST and ratio.median() > FAR_OFF:
+    sure = (depth.confidence.reshape(hint.weight.shape) > SURE).to(answer.dtype)
+    score = float(agreement(HintedIndex(known, hint.weight), answer, sure, 2 * NUMBER - 1).min())
+    if score < DISTRUST:
         warnings.warn(
-            f"hint: its inverse depth is {100 * float(ratio.median()):.0f} % off from what the images say, in the "
-            "median where that is sure, and hardly counted; is it of another frame, or in another unit?",
+            f"hint: it disagrees with what the images say (agreement {max(score, 0.0):.2f} of 1, by chance 0): not "
+            "used; is it of another frame, or in another unit?",
             stacklevel=3,
         )
 

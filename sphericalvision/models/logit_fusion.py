@@ -20,6 +20,7 @@ __all__ = [
     "HintedIndex",
     "LogitFusion",
     "SweepClues",
+    "agreement",
     "at_index",
     "between_hypotheses",
     "tried_index",
@@ -38,8 +39,12 @@ HINT_STRENGTH = 3.0
 """By how much a logit falls with each hypothesis of distance from a hint of weight 1, before training."""
 HINT_CLUES = 6
 """Channels that say what speaks for and against a hint."""
-TRUST_SLOPE = 12.0
-"""Of the logit of trust in a hint, with its share of the mean cost; it is 0 at 0.45."""
+SURE = 0.9
+"""Probability of the answer that the images give, from which on it says something about a hint."""
+DISTRUST, TRUST = 0.7, 0.85
+"""Agreement of a hint with sure answers up to which it does not count at all, and from which on it counts fully."""
+BENEFIT_OF_DOUBT = 0.01
+"""Share of the directions by whose number a hint agrees beforehand: where nothing is sure, it is trusted."""
 
 
 class SweepClues(NamedTuple):
@@ -172,7 +177,7 @@ class LogitFusion(nn.Module):
         cost_weight, prior_weight = self._weights(gates)
         logits = prior_weight * between_hypotheses(prior) - cost_weight * clues.cost + STRENGTH * residual
         if hint is not None:
-            logits = logits - self._hint_distance(hint, values, hint_clues, clues.cameras.amax(1) >= 2)
+            logits = logits - self._hint_distance(hint, values, logits.detach(), clues.cameras.amax(1) >= 2)
         return FusedLogits(logits, state)
 
     @staticmethod
@@ -184,21 +189,20 @@ class LogitFusion(nn.Module):
         values = (torch.ones_like(cost), difference, cost, clues.cost.mean(1), best, likely / 4)
         return torch.stack(values, 1) * hint.weight[:, None]
 
-    def _hint_distance(
-        self, hint: HintedIndex, values: Tensor, hint_clues: Tensor, compared: Tensor
-    ) -> Tensor:
+    def _hint_distance(self, hint: HintedIndex, values: Tensor, logits: Tensor, compared: Tensor) -> Tensor:
         """By how much each hypothesis ``(B, M, V)`` is less likely the farther it is from a hint.
 
-        Before training a hint counts less, everywhere, the more it costs in the sweep of what any answer would: a wrong
-        one costs as much, and a right one a third or less, however bare surfaces are.
+        The whole hint counts less the less it agrees with what the images alone say where they are sure of it. Where
+        they say little it is judged by what they say elsewhere, and a right one is believed however bare surfaces are.
         """
-        distance = (
-            (tried_index(self.sizes[0], values.device) - hint.index[:, None]).abs().clamp(max=HINT_REACH)
-        )
+        positions = tried_index(self.sizes[0], values.device)
+        best = logits.max(1).indices / 2
+        near = (positions - best[:, None]).abs() <= _tolerance(best)[:, None]
+        sure = ((logits.softmax(1) * near).sum(1) - SURE).clamp(min=0) / (1 - SURE)
+        trust = (agreement(hint, best, sure * compared, self.sizes[0]) - DISTRUST) / (TRUST - DISTRUST)
+        distance = (positions - hint.index[:, None]).abs().clamp(max=HINT_REACH)
         gate = self.hint_exit(values).clamp(-3, 3).exp()
-        of_hint, of_any = (hint_clues[:, 2:4] * compared[:, None]).sum(-1, keepdim=True).unbind(1)
-        trust = (TRUST_SLOPE * (0.45 - of_hint / of_any.clamp(min=1e-6))).sigmoid()[:, None]
-        return HINT_STRENGTH * hint.weight[:, None] * trust * gate * distance
+        return HINT_STRENGTH * (hint.weight * trust.clamp(0, 1)[:, None])[:, None] * gate * distance
 
     def _weights(self, gates: Tensor) -> tuple[Tensor, ...]:
         """Factors ``(B, 1, V)`` of costs and prior from gates ``(B, 2, V)``."""
@@ -234,6 +238,46 @@ def at_index(values: Float[Tensor, "B M V"], index: Float[Tensor, "B V"]) -> Flo
     share = place - lower
     below, above = (values.gather(1, (lower + step)[:, None]).squeeze(1) for step in (0, 1))
     return below * (1 - share) + above * share
+
+
+def agreement(
+    hint: HintedIndex, answer: Float[Tensor, "B V"], sure: Float[Tensor, "B V"], tried: int
+) -> Float[Tensor, " B"]:
+    """Return how far a hint agrees with an answer, beyond chance: 1 throughout, about 0 for depth of another scene.
+
+    This is Cohen's kappa of being near each other. By chance as many agree as would if the hint's values were dealt out
+    to directions at random: in a hall of one depth that is most of them.
+
+    Args:
+        hint: to be judged.
+        answer: index without it.
+        sure: weight of each direction, 0 to 1.
+        tried: M = 2 N - 1 hypotheses.
+
+    References:
+        Cohen (1960), "A coefficient of agreement for nominal scales".
+
+    Examples:
+        >>> answer = torch.linspace(0, 15, 1000)[None]
+        >>> ones = torch.ones_like(answer)
+        >>> hints = [HintedIndex(index, ones) for index in (answer + 0.2, answer.flip(1), 15 * ones)]
+        >>> [round(agreement(hint, answer, ones, 31).item(), 1) for hint in hints]
+        [1.0, 0.0, 0.0]
+    """
+    positions = tried_index(tried, answer.device)
+    tolerance = _tolerance(answer)
+    counted = sure * (hint.weight > 0)
+    dealt = ((1 - 2 * (positions - hint.index[:, None]).abs()).clamp(min=0) * counted[:, None]).sum(-1)
+    dealt = dealt / counted.sum(-1, keepdim=True).clamp(min=1e-6)
+    chance = (dealt[..., None] * ((positions - answer[:, None]).abs() <= tolerance[:, None])).sum(1)
+    near = ((hint.index - answer).abs() <= tolerance).to(answer.dtype)
+    doubt = BENEFIT_OF_DOUBT
+    return ((counted * (near - chance)).mean(-1) + doubt) / ((counted * (1 - chance)).mean(-1) + doubt)
+
+
+def _tolerance(index: Tensor) -> Tensor:
+    """Hypotheses that are near an index; those of near things are told from each other less well."""
+    return 0.75 + 0.1 * index
 
 
 def two_modes(logits: Float[Tensor, "B M V"]) -> tuple[Float[Tensor, "B V"], Float[Tensor, "B V"]]:

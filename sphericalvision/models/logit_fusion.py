@@ -73,10 +73,12 @@ class FusedLogits(NamedTuple):
     Attributes:
         logits: ``(B, M, V)`` of tried hypotheses.
         state: ``(B, S, V)`` features for whoever refines them.
+        trust: ``(B, 1)`` in a hint, 0 to 1; None for none.
     """
 
     logits: Float[Tensor, "B M V"]
     state: Float[Tensor, "B S V"]
+    trust: Float[Tensor, "B one"] | None = None
 
 
 class HintedIndex(NamedTuple):
@@ -89,6 +91,10 @@ class HintedIndex(NamedTuple):
 
     index: Float[Tensor, "B V"]  # type: ignore[assignment]  # hides tuple.index
     weight: Float[Tensor, "B V"]
+
+    def trusted(self, trust: Float[Tensor, "B one"]) -> HintedIndex:
+        """Return the hint with its weight multiplied."""
+        return HintedIndex(self.index, self.weight * trust)
 
 
 class LogitFusion(nn.Module):
@@ -176,9 +182,10 @@ class LogitFusion(nn.Module):
         residual, gates, state = self.exit(values).split(self.sizes, 1)
         cost_weight, prior_weight = self._weights(gates)
         logits = prior_weight * between_hypotheses(prior) - cost_weight * clues.cost + STRENGTH * residual
-        if hint is not None:
-            logits = logits - self._hint_distance(hint, values, logits.detach(), clues.cameras.amax(1) >= 2)
-        return FusedLogits(logits, state)
+        if hint is None:
+            return FusedLogits(logits, state)
+        trust = self._trust(hint, logits.detach(), clues.cameras.amax(1) >= 2)
+        return FusedLogits(logits - self._hint_distance(hint.trusted(trust), values), state, trust)
 
     @staticmethod
     def _hint_clues(clues: SweepClues, prior: Tensor, start: Tensor, hint: HintedIndex) -> Tensor:
@@ -189,20 +196,24 @@ class LogitFusion(nn.Module):
         values = (torch.ones_like(cost), difference, cost, clues.cost.mean(1), best, likely / 4)
         return torch.stack(values, 1) * hint.weight[:, None]
 
-    def _hint_distance(self, hint: HintedIndex, values: Tensor, logits: Tensor, compared: Tensor) -> Tensor:
-        """By how much each hypothesis ``(B, M, V)`` is less likely the farther it is from a hint.
+    def _trust(self, hint: HintedIndex, logits: Tensor, compared: Tensor) -> Tensor:
+        """How far ``(B, 1)`` a hint is to be believed, by its agreement with what the images say where they are sure.
 
-        The whole hint counts less the less it agrees with what the images alone say where they are sure of it. Where
-        they say little it is judged by what they say elsewhere, and a right one is believed however bare surfaces are.
+        Where they say little it is judged by what they say elsewhere: a right one is believed however bare surfaces
+        are.
         """
-        positions = tried_index(self.sizes[0], values.device)
+        positions = tried_index(self.sizes[0], logits.device)
         best = logits.max(1).indices / 2
         near = (positions - best[:, None]).abs() <= _tolerance(best)[:, None]
         sure = ((logits.softmax(1) * near).sum(1) - SURE).clamp(min=0) / (1 - SURE)
-        trust = (agreement(hint, best, sure * compared, self.sizes[0]) - DISTRUST) / (TRUST - DISTRUST)
-        distance = (positions - hint.index[:, None]).abs().clamp(max=HINT_REACH)
+        score = agreement(hint, best, sure * compared, self.sizes[0])
+        return ((score - DISTRUST) / (TRUST - DISTRUST)).clamp(0, 1)[:, None]
+
+    def _hint_distance(self, hint: HintedIndex, values: Tensor) -> Tensor:
+        """By how much each hypothesis ``(B, M, V)`` is less likely the farther it is from a hint."""
+        distance = (tried_index(self.sizes[0], values.device) - hint.index[:, None]).abs().clamp(max=HINT_REACH)
         gate = self.hint_exit(values).clamp(-3, 3).exp()
-        return HINT_STRENGTH * (hint.weight * trust.clamp(0, 1)[:, None])[:, None] * gate * distance
+        return HINT_STRENGTH * hint.weight[:, None] * gate * distance
 
     def _weights(self, gates: Tensor) -> tuple[Tensor, ...]:
         """Factors ``(B, 1, V)`` of costs and prior from gates ``(B, 2, V)``."""
@@ -260,9 +271,9 @@ def agreement(
     Examples:
         >>> answer = torch.linspace(0, 15, 1000)[None]
         >>> ones = torch.ones_like(answer)
-        >>> hints = [HintedIndex(index, ones) for index in (answer + 0.2, answer.flip(1), 15 * ones)]
+        >>> hints = [HintedIndex(index, ones) for index in (answer + 0.2, 15 * ones)]
         >>> [round(agreement(hint, answer, ones, 31).item(), 1) for hint in hints]
-        [1.0, 0.0, 0.0]
+        [1.0, 0.0]
     """
     positions = tried_index(tried, answer.device)
     tolerance = _tolerance(answer)

@@ -331,7 +331,9 @@ class RefinedSweepNet(DepthNetwork):
         hints: Sequence[HintedIndex | None] | None = None,
     ) -> list[RefinedIndex]:
         """Return the answers at all levels from ``coarse_level + 1`` on; arguments as of ``refine``."""
-        modes, answers = None, []
+        modes, answers, trust = None, [], fused.trust
+        if hints is not None and trust is not None:  # one that the images refuse is no candidate
+            hints = [None if hint is None else hint.trusted(trust) for hint in hints]
         for number, (images, seen) in enumerate(views):
             candidates = candidates_of(fused, modes, None if hints is None else hints[number])
             looked_at = candidates.index[:, -self.refinement.colors :]

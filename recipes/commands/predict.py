@@ -145,11 +145,10 @@ def hints_of(
     """The hints that a configuration names.
 
     Raises:
-        ArgumentError: the network takes none, or there is no pose to carry the last frame's depth on.
+        ArgumentError: the network takes none of files, or there is no pose to carry the last frame's depth on.
     """
     if config.hint is None:
         return None
-    predictor.check_takes_hints()
     moving = isinstance(source, Moving)
     if config.hint == LAST:
         if not moving:
@@ -157,6 +156,7 @@ def hints_of(
                 "hint: last carries the depth of the frame before on by the rig's poses; give poses=, or leave hint out"
             )
         return LAST
+    predictor.check_takes_hints()
     names = source.names(config.capture.selection)
     if moving or names is None:
         raise ArgumentError(

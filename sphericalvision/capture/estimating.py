@@ -14,7 +14,7 @@ from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
 import torch
 
-from sphericalvision.capture.hints import Hint
+from sphericalvision.capture.hints import CarriedDepth, Hint
 from sphericalvision.capture.predictor import Predictor
 from sphericalvision.capture.result import Depth
 from sphericalvision.capture.sources.frames import Frame, Selection, Source
@@ -66,7 +66,7 @@ def estimate_frames(
         number: of the frames, where that is known.
         hints: of a frame by its name; or ``"last"``: the depth of the frame before, where rigs move in one world.
     """
-    last: Hint | None = None
+    last: CarriedDepth | None = None
 
     def estimate(frame: Frame) -> Estimate:
         nonlocal last

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import torch
@@ -17,6 +17,7 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_tensor, check_type
 from sphericalvision.geometry.surfaces import distance_along
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.models.candidate_refinement import ring_around
 from sphericalvision.models.logit_fusion import DISTRUST, HintedIndex, agreement
 from sphericalvision.sphere.resampling.views import Views
 from sphericalvision.sweep import DepthHint, index_from_inverse_depth
@@ -24,7 +25,7 @@ from sphericalvision.sweep import DepthHint, index_from_inverse_depth
 if TYPE_CHECKING:
     from sphericalvision.capture.result import Depth
 
-__all__ = ["FITS", "Hint", "HintView", "warn_if_far"]
+__all__ = ["FITS", "CarriedDepth", "Hint", "HintView", "warn_if_far"]
 
 FITS = ("metres", "scale", "affine")
 COMPARED = 2000
@@ -39,8 +40,10 @@ NUMBER, SURE = 16, 0.8
 """Hypotheses in which a hint is compared with the depth that was found, and the confidence of what is compared."""
 SAME_SURFACE = 0.8
 """Of the nearest inverse depth at a vertex, above which points lie on the same surface."""
-CARRIED = 0.8
-"""Weight of the last frame's depth where it is surest."""
+FORGETTING = 0.9
+"""Share of the information of earlier frames that the next one keeps."""
+SURPRISE, OUTLIER = 1.75, 4.0
+"""Expected deviations up to which two frames show the same surface: in the mean of directions around, and in one."""
 
 
 class HintView(NamedTuple):
@@ -68,7 +71,7 @@ class Hint:
     It may be sparse, blurred or partly wrong; the network weighs it against what the images show.
 
     Args:
-        views: of ``of_points``, ``of_directions``, ``of_views`` or ``of_depth``.
+        views: of ``of_points``, ``of_directions`` or ``of_views``.
         fit: ``"metres"``: as it is. ``"scale"``: each view is multiplied so that it agrees with the network's own
             answer without a hint, which is computed first. ``"affine"``: its inverse depth is multiplied and shifted,
             as monocular networks with relative inverse depth want it.
@@ -176,25 +179,15 @@ class Hint:
         return cls(parts, fit)
 
     @classmethod
-    def of_depth(cls, depth: Depth, pose: Float[Tensor, "4 4"]) -> Hint:
-        """The depth of an earlier frame, carried on by the motion of the rig, with weights by its confidence.
+    def of_depth(cls, depth: Depth, pose: Float[Tensor, "4 4"]) -> CarriedDepth:
+        """The depth of the frame before, carried on by the motion of the rig: see ``CarriedDepth``.
 
         Args:
             depth: of one frame.
             pose: ``(4, 4)`` from the world of its rig to that of the rig now. The identity where rigs move in one
                 world, as those of ``poses=`` do.
         """
-        if depth.batch_shape:
-            raise ArgumentError(
-                "depth: expected that of one frame; take one of the batch with depth.select(i)"
-            )
-        pose = torch.as_tensor(pose).to(depth.index.device, torch.float32)
-        if pose.shape != (4, 4):
-            raise ShapeError(f"pose: expected shape (4, 4), got {tuple(pose.shape)}")
-        start = pose[:3, :3] @ depth.rig.center.to(pose) + pose[:3, 3]
-        rays = depth.directions.reshape(-1, 3) @ pose[:3, :3].T
-        weight = CARRIED * depth.confidence.flatten()
-        return cls([_view(start, rays, depth.inverse_depth.flatten(), None, weight)])
+        return CarriedDepth(depth, pose)
 
     def on(self, grid: Icosphere, rig: CameraRig, answer: Depth | None = None) -> DepthHint:
         """Return what is known at an icosphere's vertices ``(1, V)``, from the rig's centre.
@@ -261,6 +254,76 @@ class Hint:
         if not change[0] > 0 or rest.median() > MOST_REST * target.median():
             return None
         return change[0].float() * view.values + (change[1].float() if self.fit == "affine" else 0)
+
+
+@dataclass(frozen=True, eq=False)
+class CarriedDepth:
+    """The depth of the frame before, which is averaged with what a network says of the next: a recursive filter.
+
+    The network does not see it, so any network may be steadied. Each of the two counts by its information, ``1 / σ²``
+    by the confidence, and what is carried on fades from frame to frame. Where the two differ by more than both are
+    expected to be off, over several directions, something moved or was hidden, and the frame before is forgotten.
+
+    Args:
+        depth: of one frame.
+        pose: ``(4, 4)`` from the world of its rig to that of the rig now.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.capture import Depth
+        >>> from sphericalvision.models import WinnerTakesAll
+        >>> net, rig, ones = WinnerTakesAll(3, 16, depth_coarsening=0), ring_rig(3), torch.ones(642)
+        >>> first, second = (Depth(index * ones, ones, ones > 0, net, rig, {}) for index in (6.1, 6.0))
+        >>> CarriedDepth(first, torch.eye(4)).averaged(second).index.mean()
+        tensor(6.0474)
+    """
+
+    depth: Depth
+    pose: Float[Tensor, "4 4"]
+
+    def __post_init__(self) -> None:
+        _check_one_frame(self.depth)
+        if torch.as_tensor(self.pose).shape != (4, 4):
+            raise ShapeError(f"pose: expected shape (4, 4), got {tuple(torch.as_tensor(self.pose).shape)}")
+
+    def averaged(self, depth: Depth) -> Depth:
+        """Return the depth of the frame now, averaged with the one before; confidence and ``seen`` as they are."""
+        _check_one_frame(depth)
+        before, rays = self.depth, depth.directions.reshape(-1, 3)
+        pose = torch.linalg.inv(torch.as_tensor(self.pose).to(rays))
+        now, own = depth.inverse_depth.flatten().float(), depth.information.flatten()
+        points = (rays / now[:, None] + depth.rig.center.to(rays)) @ pose[:3, :3].T + pose[:3, 3]
+        points = points - before.rig.center.to(points)
+        distance = points.norm(dim=-1).clamp(min=1e-6)
+        # Looked up where the point of now is: the surface there is as much nearer or farther along both rays.
+        values = torch.stack((before.inverse_depth, before.information)).to(torch.float32)
+        (carried, weight), reached = before.network.index_at(values, points / distance[:, None])
+        carried, weight = carried * now * distance, FORGETTING * weight
+        expected = (1 / own + 1 / weight.clamp(min=1e-9)).sqrt()
+        alone = ((now - carried) / expected).where(reached, OUTLIER).clamp(-OUTLIER, OUTLIER)
+        surprise, grid = alone, depth.network.grid
+        if isinstance(
+            grid, Icosphere
+        ):  # what moves is seen in directions side by side, what flickers less so
+            ring = ring_around(grid.level, alone.device)
+            for _ in range(2):
+                surprise = (surprise + surprise[ring].sum(1)) / 7
+        same = (alone.abs() < OUTLIER) & (surprise.abs() <= SURPRISE) & (depth.index.flatten() > 0)
+        weight = weight.where(same, 0.0)
+        total = own + weight
+        mean = (own * now + weight * carried.where(same, 0.0)) / total
+        number = depth.network.num_hypotheses
+        index = index_from_inverse_depth(mean, number, depth.min_depth).clamp(max=number - 1)
+        return replace(
+            depth,
+            index=index.to(depth.index).where(same, depth.index.flatten()).view_as(depth.index),
+            accumulated=total.view_as(depth.index),
+        )
+
+
+def _check_one_frame(depth: Depth) -> None:
+    if depth.batch_shape:
+        raise ArgumentError("depth: expected that of one frame; take one of the batch with depth.select(i)")
 
 
 def warn_if_far(hint: DepthHint, depth: Depth) -> None:

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.base import check_single
-from sphericalvision.capture.hints import Hint, warn_if_far
+from sphericalvision.capture.hints import CarriedDepth, Hint, warn_if_far
 from sphericalvision.capture.pipeline import PRECISIONS, Pipeline
 from sphericalvision.capture.preparation.nearest import (
     SCENE_LEVEL,
@@ -230,20 +230,25 @@ class Predictor:
         )
 
     @torch.inference_mode()
-    def __call__(self, images: Mapping[str, Any], hint: Hint | DepthHint | None = None) -> Depth:
+    def __call__(
+        self, images: Mapping[str, Any], hint: Hint | CarriedDepth | DepthHint | None = None
+    ) -> Depth:
         """Estimate depth.
 
         Args:
             images: camera name -> image: numpy or torch, ``(h, w)``, ``(h, w, 3)`` or ``(3, h, w)`` or a batch of them,
                 uint8, uint16 or float in [0, 1], of the size that the camera is calibrated for.
             hint: depth of some directions that is known beforehand, of one frame; or what the network itself takes, of
-                all frames of a batch. Where it has to be fitted, the frame is estimated without it first.
+                all frames of a batch. Where it has to be fitted, the frame is estimated without it first. That of the
+                frame before is averaged with the result, whatever the network.
 
         Raises:
             ArgumentError: images of other cameras, or values out of range; a hint for a network that takes none, or one
                 that says nothing of this frame.
             ShapeError: an image has another size than its camera.
         """
+        if isinstance(hint, CarriedDepth):
+            return hint.averaged(self(images))
         ordered = self._on_device(images)
         colors = Colors(ordered, self._channels)
         pipeline = self._pipeline_for(colors)

@@ -31,6 +31,11 @@ if TYPE_CHECKING:
 
 __all__ = ["Depth", "DepthImage"]
 
+STEPS = 15
+"""From the nearest hypothesis to infinity, of which deviations are told."""
+LEAST_DEVIATION, MOST_DEVIATION = 0.05, 2.0
+"""Of the index: for a confidence of 1, and what is added for one of 0."""
+
 
 class DepthImage(NamedTuple):
     """Depth in the pixels of a panorama or camera, with what is known about it.
@@ -74,6 +79,7 @@ class Depth:
         images: camera name -> ``(*b, 3, h, w)`` in [0, 1], for colours.
         corrections: of each frame a ``Correction`` or ``Compensation``, what was taken out of its images before depth
             was estimated; ``compensations`` has plain numbers.
+        accumulated: ``(*grid)`` ``information`` of the average with the frames before; None for one frame alone.
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
@@ -92,6 +98,18 @@ class Depth:
     rig: CameraRig
     images: Mapping[str, Tensor] = field(repr=False)
     corrections: tuple[Correction | Compensation, ...] = field(default=(), repr=False)
+    accumulated: Float[Tensor, "*batch_and_grid"] | None = field(default=None, repr=False)
+
+    @property
+    def information(self) -> Float[Tensor, "*batch_and_grid"]:
+        """``(*b, *grid)`` in m²: 1 over the square of the expected deviation of the inverse depth.
+
+        That is the more, the less the confidence: up to two steps of 16 hypotheses, which the confidence is trained on.
+        """
+        if self.accumulated is not None:
+            return self.accumulated
+        deviation = LEAST_DEVIATION + MOST_DEVIATION * (1 - self.confidence.float())
+        return (STEPS * self.min_depth / deviation).square()
 
     @property
     def inverse_depth(self) -> Float[Tensor, "*batch_and_grid"]:

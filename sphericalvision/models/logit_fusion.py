@@ -211,7 +211,9 @@ class LogitFusion(nn.Module):
 
     def _hint_distance(self, hint: HintedIndex, values: Tensor) -> Tensor:
         """By how much each hypothesis ``(B, M, V)`` is less likely the farther it is from a hint."""
-        distance = (tried_index(self.sizes[0], values.device) - hint.index[:, None]).abs().clamp(max=HINT_REACH)
+        distance = (
+            (tried_index(self.sizes[0], values.device) - hint.index[:, None]).abs().clamp(max=HINT_REACH)
+        )
         gate = self.hint_exit(values).clamp(-3, 3).exp()
         return HINT_STRENGTH * hint.weight[:, None] * gate * distance
 

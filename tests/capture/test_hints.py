@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -129,18 +130,61 @@ def test_views_at_the_origin_stand_at_the_centre_and_masks_count() -> None:
     assert (seen[:, 2] > -0.5).all()  # of the camera in front
 
 
+def relative_error(depth: Depth, rig: CameraRig) -> float:
+    return float((depth.inverse_depth * true_depth(rig) - 1).abs().mean())
+
+
 def test_the_last_frame_is_carried_on_by_the_pose() -> None:
     rig = rig_of_four()
     motion = transform_from_axis_angle(torch.tensor([0.0, 0.3, 0.0]), torch.tensor([0.1, 0.0, -0.3]))
     moved = rig.replaced(world_from_camera=motion @ rig.world_from_camera)
-    carried = Hint.of_depth(answer(moved), torch.eye(4)).on(GRID, rig)  # both in one world
-    off, share = error(carried, rig)
-    assert off < 0.02
-    assert 0.8 < share < 1
-    back = Hint.of_depth(answer(moved), torch.linalg.inv(motion)).on(GRID, rig)
-    assert error(back, rig)[0] > 4 * off  # as if it had moved the other way
+    off = answer(rig, 1.01)
+    alone = relative_error(off, rig)
+    assert alone == pytest.approx(1 - 1 / 1.01, abs=1e-3)
+    carried = Hint.of_depth(answer(moved), torch.eye(4)).averaged(off)  # both in one world
+    assert relative_error(carried, rig) < 0.65 * alone
+    back = Hint.of_depth(answer(moved), torch.linalg.inv(motion)).averaged(
+        off
+    )  # as if it had moved the other way
+    assert relative_error(back, rig) > 0.75 * alone
+    straight = transform_from_axis_angle(torch.zeros(3), torch.tensor([0.1, 0.0, -0.3]))
+    own = replace(answer(rig.replaced(world_from_camera=straight @ rig.world_from_camera)), rig=rig)
+    for pose, limits in ((straight, (0, 0.65)), (torch.eye(4), (0.75, 2))):  # frames in the world of each rig
+        error_of_mean = relative_error(Hint.of_depth(own, pose).averaged(off), rig)
+        assert limits[0] * alone <= error_of_mean < limits[1] * alone
     with pytest.raises(ShapeError, match=r"pose: expected shape \(4, 4\)"):
         Hint.of_depth(answer(rig), torch.eye(3))
+
+
+def test_frames_are_averaged_and_what_moved_is_forgotten() -> None:
+    rig, generator = rig_of_four(), torch.Generator().manual_seed(0)
+    true = answer(rig)
+
+    def noisy(change: Tensor | float = 0.0) -> Depth:
+        index = true.index + 0.05 * torch.randn(true.index.shape, generator=generator) + change
+        return replace(true, index=index)
+
+    last = noisy()
+    for _ in range(12):
+        last = Hint.of_depth(last, torch.eye(4)).averaged(noisy())
+    deviation = float((last.index - true.index).std())
+    assert deviation < 0.4 * 0.05  # sqrt(0.15 / 1.85) = 0.28, and edges
+    there = GRID.vertices[:, 2] > 0.8
+    after = Hint.of_depth(last, torch.eye(4)).averaged(noisy(4.0 * there))
+    assert float((after.index - true.index - 4)[there].abs().mean()) < 0.05
+    assert float((after.index - true.index)[~there].std()) < 0.4 * 0.05
+    unsure = replace(noisy(), confidence=torch.zeros_like(true.confidence))
+    kept = Hint.of_depth(last, torch.eye(4)).averaged(unsure)
+    torch.testing.assert_close(kept.index, last.index, rtol=0, atol=0.01)
+    infinite = Hint.of_depth(last, torch.eye(4)).averaged(replace(true, index=0 * true.index))
+    assert not infinite.index.any()
+    batch = replace(true, index=true.index[None], confidence=true.confidence[None], seen=true.seen[None])
+    for call in (
+        lambda: Hint.of_depth(batch, torch.eye(4)),
+        lambda: Hint.of_depth(true, torch.eye(4)).averaged(batch),
+    ):
+        with pytest.raises(ArgumentError, match="depth: expected that of one frame"):
+            call()
 
 
 def test_wrong_hints_are_refused() -> None:
@@ -200,7 +244,7 @@ def test_a_predictor_takes_hints_and_says_if_one_is_of_another_frame() -> None:
         UserWarning, match=r"hint: it disagrees with what the images say .*: not used; is it of another"
     ):
         wrong = predictor(images, Hint.of_points(points * 0.3))
-    assert mean_error(wrong) < 1.03 * mean_error(plain)
+    torch.testing.assert_close(wrong.index, plain.index, rtol=0, atol=0)
     with pytest.raises(ArgumentTypeError, match="hint: expected a Hint"):
         predictor(images, points)  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="hint: SemiGlobalSweep takes none"):

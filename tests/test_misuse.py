@@ -81,6 +81,15 @@ def pictures(image: Any) -> dict[str, Any]:
     return dict.fromkeys(rig().names, image)
 
 
+def blank() -> dict[str, Any]:
+    return pictures(torch.zeros(3, 24, 24))
+
+
+def at_once() -> CameraRig:
+    """A rig whose cameras are all in one place."""
+    return rig().replaced(world_from_camera=EYES.repeat(4, 1, 1))
+
+
 DOUBLE = torch.float64
 
 MISUSES = r"""
@@ -653,6 +662,33 @@ RomniStereo(16, iterations=0) -> iterations: 0
 RomniStereo(16, in_channels=2) -> in_channels: 2
 collate_samples([{'images': {'a': IMAGE}}, {'images': {'a': IMAGE[:, 1:]}}]) -> images\.a: of one shape .*ToSphere
 left_right_error(torch.ones(2, 3), torch.ones(2, 3)) -> pred, target: expected
+# cameras: poses, images of a rig, rectified pairs
+CameraRig([camera()] * 4, EYES.repeat(3, 1, 1)) -> 4 cameras: got \(3, 4, 4\)
+sample_sphere(rig(), [torch.zeros(3, 24, 24)] * 3, DIRECTIONS) -> images: expected 4, one for each camera, got 3
+sample_sphere(rig(), {'a': IMAGE, 'b': IMAGE}, DIRECTIONS) -> images: cam1, cam2, cam3, cam4, got a, b
+sample_sphere(rig(), [torch.zeros(3, 12, 24)] * 4, DIRECTIONS) -> images\['cam1'\]: 24 x 24.*got shape \(3, 12, 24\)
+rectified_pairs(rig(), pairs=[('cam1', 'left')]) -> cameras: expected names among cam1
+rectified_pairs(at_once(), pairs=[('cam1', 'cam2')]) -> stand in: one place
+rectified_pairs(at_once()) -> no two: of the cameras cam1
+rectified_pairs(rig().subset([0])) -> no two: of the cameras cam1
+rectified_pairs(CameraRig([pinhole()] * 2, ring_rig(2).world_from_camera), pairs=[('cam1', 'cam2')]) -> share: no field
+rectified_pairs(CameraRig.stack([rig(), rig()])) -> single: rig
+rectified_pairs(rig())[0].distance(torch.zeros(4, 4)) -> disparity: this camera's images
+rectified_pairs(rig())[0].distance(torch.zeros(rectified_pairs(rig())[0].image_size), 'cam9') -> of: cam1
+rectified_pairs(rig())[0].rectify({'cam1': IMAGE}) -> images: expected one for each of
+# capture: a predictor, turns of cameras
+sees(blank() | {'left': IMAGE}) -> left: are no cameras
+sees(blank() | {'cam3': torch.zeros(1, 3, 24, 24)}) -> images: equally many
+sees(pictures(torch.zeros(24, 24, dtype=torch.int64))) -> images: int64
+Predictor(rig().subset([0, 1, 2]), net()) -> it has: 3 cameras
+align_rig_direct(rig().subset([0]), {'cam1': torch.zeros(3, 24, 24)}, DIRECTIONS, torch.ones(1)) -> rig: two or more
+align_rig_direct(rig(), {'cam1': IMAGE}, DIRECTIONS, torch.ones(1)) -> images: one for each of cam1, cam2
+align_rig_direct(rig(), blank(), DIRECTIONS, torch.ones(7)) -> inverse_depth: expected shape \(\[F,\] 1\), got \(7,\)
+align_rig_direct(rig(), blank(), DIRECTIONS, torch.ones(1), torch.ones(7)) -> weights: expected shape \(1,\)
+align_rig_direct(rig(), blank(), DIRECTIONS, torch.ones(2, 1)) -> images\['cam1'\]: expected shape \(2, c, 24, 24\)
+align_rig_direct(rig(), blank(), DIRECTIONS, torch.ones(1), iterations=0) -> iterations: more than 0, got 0
+align_rig_direct(rig(), blank(), DIRECTIONS[None], torch.ones(1)) -> directions: \(V, 3\)
+align_rig_direct(at_once(), blank(), DIRECTIONS, torch.ones(1)) -> rig: one place
 """
 """The call -> the argument that the message names: a further word of it, both as regular expressions."""
 

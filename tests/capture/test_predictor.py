@@ -19,13 +19,13 @@ from torch import Tensor
 
 import sphericalvision
 from sphericalvision import Predictor
-from sphericalvision.cameras import CameraRig, FisheyeCamera, PinholeCamera, ring_rig
+from sphericalvision.cameras import CameraRig, PinholeCamera, ring_rig
 from sphericalvision.capture import Depth
 from sphericalvision.capture import predictor as predictor_module
 from sphericalvision.capture.export import RigProgram
 from sphericalvision.capture.preparation.nearest import frames_of
 from sphericalvision.capture.preparation.preparation import Preparation
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError
 from sphericalvision.data import ToSphere
 from sphericalvision.models import (
     DepthNetwork,
@@ -410,33 +410,10 @@ def test_names_weights_and_methods(rig: CameraRig, images: Images, tmp_path: obj
     assert sphericalvision.Predictor is predictor_module.Predictor
 
 
-def test_mistakes_are_named(rig: CameraRig, images: Images, predictor: Predictor) -> None:
-    with pytest.raises(ArgumentError, match=r"there is none of cam2; the rig has cam1, cam2, cam3, cam4"):
-        predictor({name: image for name, image in images.items() if name != "cam2"})
-    with pytest.raises(ArgumentError, match="left are no cameras"):
-        predictor({**images, "left": images["cam1"]})
-    with pytest.raises(ArgumentError, match="mapping"):
-        predictor(list(images.values()))  # type: ignore[arg-type]
-    with pytest.raises(ShapeError, match=r"images\['cam3'\]: expected 48 x 56 .* got shape \(3, 56, 48\)"):
-        predictor({**images, "cam3": images["cam3"].mT})
-    with pytest.raises(ShapeError, match="equally many"):
-        predictor({**images, "cam3": images["cam3"][None]})
-    with pytest.raises(ArgumentError, match=r"floats in \[0, 1\], got 0 to 255"):
-        predictor({**images, "cam1": torch.linspace(0, 255, 3 * 48 * 56).view(3, *SIZE)})
-    with pytest.raises(ArgumentError, match="floats"):
-        predictor({**images, "cam1": images["cam1"] * math.nan})
-    with pytest.raises(ArgumentError, match="int64"):
-        predictor({**images, "cam1": torch.zeros(SIZE, dtype=torch.int64)})
-    with pytest.raises(ArgumentError, match="it has 3 cameras"):
-        Predictor(rig.subset([0, 1, 2]), IcoSweepNet(3, 4, feature_channels=2))
+def test_nearest_depths_that_are_none_are_refused(rig: CameraRig) -> None:
     for nonsense in ("near", 5e-324, 1e10, math.nan, 0, True):
         with pytest.raises(ArgumentError, match="min_depth"):
             Predictor(rig, "icosweepnet-small", min_depth=nonsense)  # type: ignore[arg-type]
-    with pytest.raises(ArgumentError, match="method"):
-        Predictor(rig, method="magic")  # type: ignore[arg-type]
-    one_place = CameraRig([FisheyeCamera.from_field_of_view(SIZE, 3.0)] * 2, torch.eye(4).repeat(2, 1, 1))
-    with pytest.raises(ArgumentError, match="all its cameras in one place"):
-        Predictor(one_place, SemiGlobalSweep(3, 4), min_depth=None)
 
 
 def test_differences_between_cameras_are_taken_out(rig: CameraRig, images: Images) -> None:

@@ -210,17 +210,23 @@ class Bright(DepthNetwork):
         return DepthEstimate(index, images[:, 0, 0].sigmoid(), seen.all(-2).expand_as(index))
 
 
-def test_a_small_network_as_pt2_and_onnx(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    program = RigProgram(Predictor(ring_rig(2, image_size=(8, 8)), Bright(), min_depth=0.5))
-    exported = export_program(program, tmp_path / "depth.pt2")
+def exported_alike(program: RigProgram, folder: Path, tolerance: float) -> Path:
+    """The ONNX file of a program; it and the exported graph compute what the program does."""
+    exported = export_program(program, folder / "depth.pt2")
     images = example_images(program)
-    loaded = torch.export.load(tmp_path / "depth.pt2").module()
+    loaded = torch.export.load(folder / "depth.pt2").module()
     for ours, theirs in zip(program(images), loaded(images), strict=True):
-        torch.testing.assert_close(theirs, ours, rtol=1e-5, atol=1e-6)
+        torch.testing.assert_close(theirs, ours, rtol=tolerance, atol=tolerance)
     for package in ("onnx", "onnxscript", "onnxruntime"):
         pytest.importorskip(package, reason="pip install sphericalvision[onnx]")
-    path = export_onnx(exported, tmp_path / "depth.onnx")
-    assert onnx_difference(path, program, images) < 1e-5
+    path = export_onnx(exported, folder / "depth.onnx")
+    assert onnx_difference(path, program, images) < tolerance
+    return path
+
+
+def test_a_small_network_as_pt2_and_onnx(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    program = RigProgram(Predictor(ring_rig(2, image_size=(8, 8)), Bright(), min_depth=0.5))
+    path = exported_alike(program, tmp_path, 1e-5)
     import onnx
 
     told = json.loads((tmp_path / "depth.json").read_text())
@@ -234,16 +240,7 @@ def test_a_small_network_as_pt2_and_onnx(tmp_path: Path, capfd: pytest.CaptureFi
 
 @pytest.mark.slow
 def test_pt2_and_onnx_compute_the_same(tmp_path: Path) -> None:
-    program = RigProgram(predictor(), "camera", height=6)
-    exported = export_program(program, tmp_path / "depth.pt2")
-    images = example_images(program)
-    loaded = torch.export.load(tmp_path / "depth.pt2").module()
-    for ours, theirs in zip(program(images), loaded(images), strict=True):
-        torch.testing.assert_close(theirs, ours, rtol=1e-4, atol=1e-4)
-    for package in ("onnx", "onnxscript", "onnxruntime"):
-        pytest.importorskip(package, reason="pip install sphericalvision[onnx]")
-    path = export_onnx(exported, tmp_path / "depth.onnx")
-    assert onnx_difference(path, program, images) < 1e-4
+    exported_alike(RigProgram(predictor(), "camera", height=6), tmp_path, 1e-4)
 
 
 @pytest.mark.slow

@@ -73,6 +73,11 @@ def capture(tmp_path: Path) -> Path:
     return folder
 
 
+def rig_words(capture: Path, *more: str) -> list[str]:
+    """The capture's rig as it is calibrated, and more words of a prediction."""
+    return [f"calibration={capture}/rig.yaml", "device=cpu", "align=false", *more]
+
+
 def values(frame: object) -> list[float]:
     """Mean grey of each camera's picture, in the order of the rig."""
     images = frame.images  # type: ignore[attr-defined]
@@ -186,13 +191,7 @@ def test_a_video_that_was_cut_or_is_shorter_than_another_is_told(
         there = sum(frame.images is not None for frame in frames)
         assert 0 < there < FRAMES == len(frames)
         assert f"ends after {there} of the 7 frames" in str(frames[-1].error)
-    words = [
-        f"calibration={capture / 'rig.yaml'}",
-        f"checkpoint={weights}",
-        "device=cpu",
-        "height=16",
-        "align=false",
-    ]
+    words = rig_words(capture, f"checkpoint={weights}", "height=16")
     said = failing("predict", *words, f"images={capture}/row.avi", "output=out", "min_depth=1")
     assert f"{FRAMES - there} of 7 frames were left out" in said
     write_video(capture / "videos/cam2.avi", [picture(frame, 1) for frame in range(5)])
@@ -389,13 +388,7 @@ def test_a_resized_capture_has_a_resized_rig() -> None:
 def test_a_video_becomes_a_video(
     run: Run, capture: Path, weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = [
-        f"calibration={capture / 'rig.yaml'}",
-        f"checkpoint={weights}",
-        "height=32",
-        "device=cpu",
-        "align=false",
-    ]
+    words = rig_words(capture, f"checkpoint={weights}", "height=32")
     run("predict", *words, f"images={capture}/row.avi", "output=out", "every=3", "min_depth=scene")
     video = cv2.VideoCapture(str(tmp_path / "out/depth.mp4"))
     assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 3
@@ -427,14 +420,7 @@ def test_a_video_becomes_a_video(
 def test_a_preset_takes_the_weights_for_its_level_and_says_so(
     run: Run, capture: Path, weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = [
-        f"calibration={capture / 'rig.yaml'}",
-        f"images={capture}/images",
-        "device=cpu",
-        "stop=1",
-        "height=16",
-        "align=false",
-    ]
+    words = rig_words(capture, f"images={capture}/images", "stop=1", "height=16")
     run("predict", *words, "preset=fast", "output=out", "outputs=[npz]")
     assert "weights refinedsweepnet-fast" in " ".join(capsys.readouterr().out.split())
     with np.load(tmp_path / "out/000_depth.npz") as arrays:
@@ -444,8 +430,7 @@ def test_a_preset_takes_the_weights_for_its_level_and_says_so(
 
 
 def test_the_fast_preset_is_one_level_coarser(run: Run, capture: Path, weights: Path, tmp_path: Path) -> None:
-    words = [f"calibration={capture / 'rig.yaml'}", f"checkpoint={weights}", "device=cpu", "stop=1"]
-    words += ["align=false"]
+    words = rig_words(capture, f"checkpoint={weights}", "stop=1")
     run("predict", *words, f"images={capture}/images", "preset=fast", "output=out", "outputs=[npz]")
     with np.load(tmp_path / "out/000_depth.npz") as arrays:
         assert arrays["depth_panorama"].shape == (160, 320)
@@ -457,14 +442,7 @@ def test_images_of_another_size_are_told(
 ) -> None:
     for path in (capture / "images").glob("*/*.png"):
         write_image(path, read_image(path)[:, ::2, ::2])
-    words = [
-        f"calibration={capture / 'rig.yaml'}",
-        f"checkpoint={weights}",
-        "device=cpu",
-        "stop=1",
-        "height=16",
-        "align=false",
-    ]
+    words = rig_words(capture, f"checkpoint={weights}", "stop=1", "height=16")
     run("predict", *words, f"images={capture}/images", "output=out")
     assert "images of cam1 have 20 x 16 pixels (width x height), the calibration is for 40 x 32" in (
         capsys.readouterr().out.replace("\n", " ")

@@ -210,8 +210,7 @@ def _estimated(depths: Sequence[Depth]) -> RigTurns:
     agreements = []
     for pixel, blur, iterations, level in STEPS:
         directions = icosphere_vertices(level, torch.float32, rig.world_from_camera.device)
-        estimates = [_along(depth, directions) for depth in depths]
-        inverse_depth, weights = (torch.stack(values) for values in zip(*estimates, strict=True))
+        inverse_depth, weights = _along(depths, directions)
         alignment = align_rig_direct(
             better, images, directions, inverse_depth, weights, pixel=pixel, blur=blur, iterations=iterations
         )
@@ -250,9 +249,11 @@ def _smooth(depth: Depth, pixel: float) -> dict[str, Tensor]:
     }
 
 
-def _along(depth: Depth, directions: Tensor) -> tuple[Tensor, Tensor]:
-    """Inverse depth and how much it is to be trusted, ``(V,)`` each."""
-    index, reached = depth.network.index_at(depth.index[None], directions)
-    trust, _ = depth.network.index_at((depth.confidence * depth.seen)[None], directions)
-    steps = depth.network.num_hypotheses - 1
-    return index[0] / (steps * depth.min_depth), (trust[0] * reached).clamp(0, 1)
+def _along(depths: Sequence[Depth], directions: Tensor) -> tuple[Tensor, Tensor]:
+    """Inverse depth of frames and how much it is to be trusted, ``(F, V)`` each."""
+    network, min_depth = depths[0].network, torch.tensor([[depth.min_depth] for depth in depths])
+    both = [depth.index for depth in depths] + [depth.confidence * depth.seen for depth in depths]
+    values, reached = network.index_at(torch.stack(both), directions)
+    index, trust = values.chunk(2)
+    steps = network.num_hypotheses - 1
+    return index / (steps * min_depth.to(index)), (trust * reached).clamp(0, 1)

@@ -33,6 +33,8 @@ GENERATED = ("api/", "recipes/configuration")
 """Pages whose code is in no search."""
 BEGINNING = 240
 """Letters of an entry of the API that are searched: what it is for."""
+PROGRAM = 2500
+"""Letters of a block of code that is no longer searched."""
 NUMBER = r"[-−+±]?[\d.,()%–×]+"
 BRACKETS = r"(<td[^>]*>(?:<strong>)?[-−+±\d.,]+(?: ?%)?(?:</strong>)?) (\([^<>()]*\d[^<>()]*\))</td>"
 """What stands in brackets after a number in a table."""
@@ -159,9 +161,10 @@ def on_post_build(config: Any, **_: object) -> None:
 
 
 def searchable(text: str, location: str) -> str:
-    """An entry's text: no markup, no rows of numbers; of generated pages and of lists of files its beginning."""
-    if location.startswith(GENERATED):
-        text = re.sub(r"<pre>.*?</pre>", " ", text, flags=re.DOTALL)
+    """An entry's text: no markup, no rows of numbers, no whole programs; of generated pages the beginning, no code."""
+    for code in re.findall(r"<pre>.*?</pre>", text, flags=re.DOTALL):
+        if len(code) > PROGRAM or location.startswith(GENERATED):
+            text = text.replace(code, " ")
     text = " ".join(re.sub(r"<[^>]*>", " ", text).split())
     text = re.sub(rf"(?<!\S){NUMBER}(?: {NUMBER})+(?!\S)", " ", text)
     return text[:BEGINNING] if location.startswith("api/") else text

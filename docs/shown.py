@@ -23,6 +23,7 @@ matplotlib.use("Agg")
 
 import numpy as np
 from matplotlib.figure import Figure
+from mkdocs.exceptions import PluginError
 from mkdocs.plugins import event_priority
 from mkdocs.utils import get_relative_url
 
@@ -109,6 +110,10 @@ def on_page_markdown(markdown: str, page: Any, **_: object) -> None:
 @event_priority(50)  # before the search reads the page
 def on_page_content(content: str, page: Any, **_: object) -> str:
     """The source of a function is no text that one searches; brackets in a table stand below their number."""
+    if "markdown_exec/_internal" in content:
+        raise PluginError(
+            f"{page.file.src_uri}: a block of the page raised, and its traceback is in the page"
+        )
     content = re.sub(BRACKETS, r"\1<small>\2</small></td>", content)
     return content.replace(
         '<details class="mkdocstrings-source"',

@@ -253,7 +253,9 @@ def reliability() -> str:
     figure = new_figure(4.2, 3.4)
     axes = figure.add_axes((0.15, 0.15, 0.8, 0.82))
     axes.plot((0, 2), (0, 2), color=FAINT, linestyle="--")
-    for kind, cells in re.findall(r"^\| (\w+) \|(.*\(.*)\|$", page, re.MULTILINE):
+    for kind, cells in re.findall(
+        r"^\| (\w+) \|(.*\d \(\d.*)\|$", page, re.MULTILINE
+    ):
         points = [
             (float(so), float(said))
             for so, said in re.findall(r"([\d.]+) \(([\d.]+)\)", cells)

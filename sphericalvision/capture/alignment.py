@@ -255,5 +255,4 @@ def _along(depths: Sequence[Depth], directions: Tensor) -> tuple[Tensor, Tensor]
     both = [depth.index for depth in depths] + [depth.confidence * depth.seen for depth in depths]
     values, reached = network.index_at(torch.stack(both), directions)
     index, trust = values.chunk(2)
-    steps = network.num_hypotheses - 1
-    return index / (steps * min_depth.to(index)), (trust * reached).clamp(0, 1)
+    return index / ((network.num_hypotheses - 1) * min_depth.to(index)), (trust * reached).clamp(0, 1)

@@ -87,13 +87,10 @@ class Cubemap(GridModule):
         """Directions ``(6 * size**2, samples**2, 3)`` spread over each pixel, and their shares of its solid angle."""
         count = self.size * samples
         tangent = (2 * torch.arange(count, dtype=torch.float64, device=device) + 1 - count) / count
-        y, x = torch.meshgrid(tangent, tangent, indexing="ij")
-        y, x = (
-            side.unflatten(1, (-1, samples)).unflatten(0, (-1, samples)).transpose(1, 2).flatten()
-            for side in (y, x)
-        )
-        lengths = (x * x + y * y + 1).sqrt()
-        face = from_components(x / lengths, y / lengths, 1 / lengths)
+        side = tangent.view(-1, samples)
+        x, y = side[:, None], side[:, None, :, None]
+        lengths = (x * x + y * y + 1).sqrt()  # of rows, columns, and rows and columns in a pixel
+        face = from_components(x / lengths, y / lengths, 1 / lengths).view(-1, 3)
         rays = face @ world_from_cube_face(torch.float64, device).mT
         solid = (lengths**-3).view(-1, samples**2)  # a step in the plane is so much of solid angle
         shares = (solid / solid.sum(-1, keepdim=True)).repeat(6, 1)

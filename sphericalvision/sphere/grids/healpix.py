@@ -179,17 +179,11 @@ class Healpix(GridModule):
         north, south = ((above == end).to(theta.dtype) for end in (0, last))
         pole = (north * (1 - below) + south * below) / 4  # its share goes to all four pixels of its ring
         weight_above, weight_below = (1 - below) * (1 - north), below * (1 - south)
-        weights = from_components(
-            weight_above * (1 - share_above) + pole,
-            weight_above * share_above + pole,
-            weight_below * (1 - share_below) + pole,
-            weight_below * share_below + pole,
-        )
+        pairs = ((weight_above, share_above), (weight_below, share_below))
+        weights = from_components(*(w * part + pole for w, share in pairs for part in (1 - share, share)))
         ids = torch.stack((*ids_above, *ids_below), -1)
-        if self.nested:
-            ids = nested_from_ring(ids, self.nside)
-        shape = (*directions.shape[:-1], 4)
-        return ids.view(shape), weights.view(shape)
+        ids = nested_from_ring(ids, self.nside) if self.nested else ids
+        return ids.view(*directions.shape[:-1], 4), weights.view(*directions.shape[:-1], 4)
 
     def taps(
         self, directions: Float[Tensor, "*batch 3"]
@@ -233,8 +227,7 @@ class Healpix(GridModule):
         if chords:
             before, after = (share * step).sin(), ((1 - share) * step).sin()
             radius = theta.sin() * (step / 2).cos() / ((share - 0.5) * step).cos()
-            inside = (ring > 0) & (ring < 4 * self.nside)
-            theta = torch.where(inside, torch.atan2(radius, theta.cos()), theta)
+            theta = torch.where(behind == 0, torch.atan2(radius, theta.cos()), theta)  # a pole is a point
             share = before / (before + after)
         number = first.nan_to_num().long() + behind  # a number of the ring, whatever the direction
         number = number + count * (number < 0)

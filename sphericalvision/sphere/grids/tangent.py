@@ -10,7 +10,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import PinholeCamera
 from sphericalvision.core import ArgumentError, check_last_dim, full_precision
-from sphericalvision.geometry.directions import check_directions, moderate_lengths
+from sphericalvision.geometry.directions import check_directions, from_components, moderate_lengths
 from sphericalvision.icosphere import icosphere_faces, icosphere_vertices, locate, num_icosphere_vertices
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels
@@ -107,21 +107,21 @@ class TangentImages(GridModule):
     @property
     def cell_widths(self) -> Float[Tensor, "patches size size"]:
         """Square root of each whole pixel's solid angle ``(patches, size, size)``, in radians."""
-        x, y = self._plane(self.size, self.directions.device)
-        return (self.pixel_size * (1 + x * x + y * y) ** -0.75).to(self.directions).expand(self.shape)
+        squared = self._side(self.size, self.directions.device) ** 2
+        widths = self.pixel_size * (1 + squared + squared[:, None]) ** -0.75
+        return widths.to(self.directions).expand(self.shape)
 
     def cell_samples(
         self, samples: int, dtype: torch.dtype | None = None, device: torch.device | str | None = None
     ) -> tuple[Float[Tensor, "P k 3"], Float[Tensor, "#P k"]]:
         """Directions ``(n, samples**2, 3)`` spread over each whole pixel, and their shares of its solid angle."""
-        x, y = self._plane(self.size * samples, device)
-        rays = torch.stack((x, y, torch.ones_like(x)), -1)
-        shares = rays.norm(dim=-1) ** -3  # a step in the plane is so much of solid angle
-        rays = F.normalize(rays, dim=-1) @ _frames(self.base_level, device).mT.unsqueeze(1)
-        shape = (self.size, samples, self.size, samples)
-        shares = shares.view(shape).transpose(1, 2).reshape(-1, samples**2)
-        shares = (shares / shares.sum(-1, keepdim=True)).repeat(self.num_patches, 1)
-        rays = rays.view(-1, *shape, 3).transpose(2, 3).reshape(-1, samples**2, 3)
+        side = self._side(self.size * samples, device).view(-1, samples)
+        x, y = side[:, None], side[:, None, :, None]
+        lengths = (x * x + y * y + 1).sqrt()  # of rows, columns, and rows and columns in a pixel
+        patch = from_components(x / lengths, y / lengths, 1 / lengths).view(-1, 3)
+        rays = (patch @ _frames(self.base_level, device).mT).view(-1, samples**2, 3)
+        solid = (lengths**-3).view(-1, samples**2)  # a step in the plane is so much of solid angle
+        shares = (solid / solid.sum(-1, keepdim=True)).repeat(self.num_patches, 1)
         dtype = dtype or self.directions.dtype
         return rays.to(dtype), shares.to(dtype)
 
@@ -173,11 +173,10 @@ class TangentImages(GridModule):
     def extra_repr(self) -> str:
         return f"base_level={self.base_level}, size={self.size}, margin={self.margin:g}, patches={self.num_patches}"
 
-    def _plane(self, count: int, device: torch.device | str | None) -> tuple[Tensor, Tensor]:
-        """Coordinates (x, y), each (count, count), of ``count`` places a side in the tangent plane."""
-        place = (2 * torch.arange(count, dtype=torch.float64, device=device) + 1 - count) / (2 * count)
-        y, x = torch.meshgrid(place, place, indexing="ij")
-        return x * (self.size * self.pixel_size), y * (self.size * self.pixel_size)
+    def _side(self, count: int, device: torch.device | str | None) -> Tensor:
+        """Coordinates (count,) of ``count`` places along a side, in the tangent plane."""
+        place = 2 * torch.arange(count, dtype=torch.float64, device=device) + 1 - count
+        return place / (2 * count) * (self.size * self.pixel_size)
 
 
 def _frames(base_level: int, device: torch.device | str | None) -> Tensor:

@@ -73,14 +73,12 @@ def overlaps(
         ArgumentError: source or target is a camera or covers another part of the sphere than the other, the target's
             cells overlap, or there is a rotation for each of a batch.
     """
-    for name, grid in (("source", source), ("target", target)):
-        if isinstance(grid, Camera):
-            raise ArgumentError(
-                f"{name}: mode 'conservative' is between grids, whose cells cover the sphere, got a "
-                f"{type(grid).__name__}; take mode 'area'"
-            )
-    assert not isinstance(source, Camera)
-    assert not isinstance(target, Camera)
+    if isinstance(source, Camera) or isinstance(target, Camera):
+        name, camera = ("source", source) if isinstance(source, Camera) else ("target", target)
+        raise ArgumentError(
+            f"{name}: mode 'conservative' is between grids, whose cells cover the sphere, got a "
+            f"{type(camera).__name__}; take mode 'area'"
+        )
     if rotation is not None and rotation.ndim > 2:
         raise ArgumentError(
             f"rotation: mode 'conservative' takes one, (3, 3), got {tuple(rotation.shape)}; resample one at a time"

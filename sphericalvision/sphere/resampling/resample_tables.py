@@ -129,7 +129,10 @@ def _samples(
         cells = cell_samples(target, 1, dtype, device)
     else:
         cells = cell_samples(target, group.samples, dtype, device, group.cells)
-    directions, shares = _turned(cells.directions, rotation), cells.shares
+    directions, shares = cells.directions, cells.shares
+    if rotation is not None:
+        # target_from_source turns the other way: its transpose acts on column vectors, itself on rows.
+        directions = directions @ rotation.unsqueeze(-3)
     if cells.valid is not None:
         shares = torch.where(cells.valid, shares, 0.0)
     if group is not None and middle_in_view is not None:
@@ -149,14 +152,6 @@ def _seen_by(source: SphereGrid | Camera, directions: Tensor) -> Tensor | None:
         return None
     inside: Tensor = source.contains(directions)
     return None if bool(inside.all()) else inside
-
-
-def _turned(directions: Tensor, rotation: Tensor | None) -> Tensor:
-    """Directions (n, s, 3) of the target in the source's frame, (*b, n, s, 3)."""
-    if rotation is None:
-        return directions
-    # target_from_source turns the other way: its transpose acts on column vectors, itself on rows.
-    return directions @ rotation.unsqueeze(-3)
 
 
 @torch.no_grad()

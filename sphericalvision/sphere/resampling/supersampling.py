@@ -84,25 +84,19 @@ def cell_samples(
     if isinstance(grid, Icosphere):
         directions, shares = _vertex_samples(grid.level, max(sides), dtype, device, cells)
         return CellSamples(directions, shares, None)
-    directions, shares = _grid_samples(grid, max(sides), dtype, device)
-    if cells is not None:
-        directions, shares = directions[cells], shares.expand(directions.shape[:-1])[cells]
-    return CellSamples(directions, shares, None)
-
-
-def _grid_samples(
-    grid: SphereGrid, samples: int, dtype: torch.dtype, device: torch.device
-) -> tuple[Tensor, Tensor]:
     if hasattr(grid, "cell_samples"):
-        directions, shares = grid.cell_samples(samples, dtype, device)
-        return directions, shares
-    if samples > 1:
+        directions, shares = grid.cell_samples(max(sides), dtype, device)
+    elif max(sides) > 1:
         raise ArgumentError(
             f"target: mode 'area' needs a method cell_samples(samples, dtype, device), which {type(grid).__name__} "
             "lacks; see Equirectangular.cell_samples"
         )
-    directions = grid.directions.reshape(-1, 1, 3).to(device=device, dtype=dtype)
-    return directions, torch.ones_like(directions[..., 0])
+    else:
+        directions = grid.directions.reshape(-1, 1, 3).to(device=device, dtype=dtype)
+        shares = torch.ones_like(directions[..., 0])
+    if cells is not None:
+        directions, shares = directions[cells], shares.expand(directions.shape[:-1])[cells]
+    return CellSamples(directions, shares, None)
 
 
 def cell_widths(grid: SphereGrid | Camera) -> Float[Tensor, " n"]:

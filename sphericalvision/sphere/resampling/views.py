@@ -234,9 +234,7 @@ class Views:
         turn = self.rig.world_from_camera[index, :3, :3].to(image.device)
         turn = turn if rotation is None else rotation.to(turn) @ turn
         mask = self.rig.masks.get(name)
-        usable = (
-            torch.ones(camera.image_size, dtype=torch.bool, device=image.device) if mask is None else mask
-        )
+        usable = torch.ones(camera.image_size, dtype=torch.bool) if mask is None else mask
         usable = usable.to(image.device)
         if quantity != "values":
             if image.shape[-3] != 1:

@@ -200,9 +200,9 @@ def training_config(words: tuple[str, ...]) -> DictConfig:
 
 def check_alike(trainings: list[Training]) -> list[str]:
     """Sentences about what is not the same for all models: training data, their number, or steps."""
-    notes = []
+    notes, configs = [], [training.config for training in trainings]
     for key in ALIKE:
-        values = {str(training.config.get(key)) for training in trainings}
+        values = {str(config.get(key)) for config in configs}
         if len(values) > 1:
             notes.append(f"{key} differs between models: {', '.join(sorted(values))}")
     return notes

@@ -259,7 +259,7 @@ def data_words(data: DictConfig, cache: Path) -> list[str]:
             size = "[32,64]" if "equirect" in str(data.rig) else "[32,32]"
             words += [] if "path" in data.rig else [f"rig.image_size={size}"]
         else:
-            words += ["data.image_size=[32,32]"]
+            words += ["data.image_size=[32,32]", "data.levels=null", "data.uses=1"]
         words += ["data.num_train=3", "data.num_val=1", "data.num_test=2", "data.samples_per_pixel=1"]
         words += [f"data.cache_dir={cache}", "data.batch_size=1"]
     elif target.endswith("DigitsDataModule"):
@@ -298,7 +298,7 @@ def network_words(model: DictConfig) -> list[str]:
     target = str(model._target_).rpartition(".")[2]
     if target.endswith(("Classifier", "Segmenter")):
         return ["model.level=3", "model.width=2"]
-    if target == "around":  # RefinedSweepNet.around, with the prior that ships
+    if target in ("around", "RefinedSweepNet"):  # around: with a prior that is there
         return ["model.level=3", "model.widths=[4,4]", "model.blocks=1"]
     if target == "RomniStereo":  # 16 hypotheses or more
         return ["model.output_size=[20,40]", "model.num_hypotheses=16", "model.feature_channels=2"]

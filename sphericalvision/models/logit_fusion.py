@@ -45,6 +45,8 @@ DISTRUST, TRUST = 0.7, 0.85
 """Agreement of a hint with sure answers up to which it does not count at all, and from which on it counts fully."""
 BENEFIT_OF_DOUBT = 0.01
 """Share of the directions by whose number a hint agrees beforehand: where nothing is sure, it is trusted."""
+DOUBT_SLOPE, DOUBTFUL_COST = 20.0, 0.7
+"""How that share falls with the costs of the hint in the sweep, as a share of the mean over all depths; half there."""
 
 
 class SweepClues(NamedTuple):
@@ -184,7 +186,7 @@ class LogitFusion(nn.Module):
         logits = prior_weight * between_hypotheses(prior) - cost_weight * clues.cost + STRENGTH * residual
         if hint is None:
             return FusedLogits(logits, state)
-        trust = self._trust(hint, logits.detach(), clues.cameras.amax(1) >= 2)
+        trust = self._trust(hint, hint_clues, logits.detach(), clues.cameras.amax(1) >= 2)
         return FusedLogits(logits - self._hint_distance(hint.trusted(trust), values), state, trust)
 
     @staticmethod
@@ -196,17 +198,19 @@ class LogitFusion(nn.Module):
         values = (torch.ones_like(cost), difference, cost, clues.cost.mean(1), best, likely / 4)
         return torch.stack(values, 1) * hint.weight[:, None]
 
-    def _trust(self, hint: HintedIndex, logits: Tensor, compared: Tensor) -> Tensor:
+    def _trust(self, hint: HintedIndex, hint_clues: Tensor, logits: Tensor, compared: Tensor) -> Tensor:
         """How far ``(B, 1)`` a hint is to be believed, by its agreement with what the images say where they are sure.
 
         Where they say little it is judged by what they say elsewhere: a right one is believed however bare surfaces
-        are.
+        are. Where they are sure of hardly anything, it is believed if it costs less in the sweep than any depth would.
         """
         positions = tried_index(self.sizes[0], logits.device)
         best = logits.max(1).indices / 2
         near = (positions - best[:, None]).abs() <= _tolerance(best)[:, None]
         sure = ((logits.softmax(1) * near).sum(1) - SURE).clamp(min=0) / (1 - SURE)
-        score = agreement(hint, best, sure * compared, self.sizes[0])
+        of_hint, of_any = (hint_clues[:, 2:4] * compared[:, None]).sum(-1).unbind(1)
+        cheap = (DOUBT_SLOPE * (DOUBTFUL_COST - of_hint / of_any.clamp(min=1e-6))).sigmoid()
+        score = agreement(hint, best, sure * compared, self.sizes[0], BENEFIT_OF_DOUBT * cheap)
         return ((score - DISTRUST) / (TRUST - DISTRUST)).clamp(0, 1)[:, None]
 
     def _hint_distance(self, hint: HintedIndex, values: Tensor) -> Tensor:
@@ -254,7 +258,11 @@ def at_index(values: Float[Tensor, "B M V"], index: Float[Tensor, "B V"]) -> Flo
 
 
 def agreement(
-    hint: HintedIndex, answer: Float[Tensor, "B V"], sure: Float[Tensor, "B V"], tried: int
+    hint: HintedIndex,
+    answer: Float[Tensor, "B V"],
+    sure: Float[Tensor, "B V"],
+    tried: int,
+    granted: Float[Tensor, " B"] | float = BENEFIT_OF_DOUBT,
 ) -> Float[Tensor, " B"]:
     """Return how far a hint agrees with an answer, beyond chance: 1 throughout, about 0 for depth of another scene.
 
@@ -266,6 +274,7 @@ def agreement(
         answer: index without it.
         sure: weight of each direction, 0 to 1.
         tried: M = 2 N - 1 hypotheses.
+        granted: share of the directions that agree beforehand, of ``BENEFIT_OF_DOUBT``.
 
     References:
         Cohen (1960), "A coefficient of agreement for nominal scales".
@@ -284,8 +293,8 @@ def agreement(
     dealt = dealt / counted.sum(-1, keepdim=True).clamp(min=1e-6)
     chance = (dealt[..., None] * ((positions - answer[:, None]).abs() <= tolerance[:, None])).sum(1)
     near = ((hint.index - answer).abs() <= tolerance).to(answer.dtype)
-    doubt = BENEFIT_OF_DOUBT
-    return ((counted * (near - chance)).mean(-1) + doubt) / ((counted * (1 - chance)).mean(-1) + doubt)
+    agreed, possible = ((counted * (values - chance)).mean(-1) for values in (near, 1))
+    return (agreed + granted) / (possible + BENEFIT_OF_DOUBT)
 
 
 def _tolerance(index: Tensor) -> Tensor:

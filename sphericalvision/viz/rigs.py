@@ -85,7 +85,9 @@ def rig_picture(rig: CameraRig, title: str | None = None) -> Picture:
         _draw_plan(plan, camera, rotation, position, 1.6 * length, color)
         plan.plot(*torch.stack((position, tip))[:, [0, 2]].T.tolist(), color=color, linewidth=2.2)
         plan.plot(position[0], position[2], "o", color=color, markersize=5)
-        plan.annotate(name, tip[[0, 2]].tolist(), color=color, fontsize=10, ha="center", va="bottom")
+        plan.annotate(
+            name, (float(tip[0]), float(tip[2])), color=color, fontsize=10, ha="center", va="bottom"
+        )
     figure.suptitle(title or f"{len(rig)} cameras, largest baseline {baseline:.3f} m", fontsize=11, y=0.97)
     figure.text(0.5, 0.93, "axes: x right (red), y down (green), z ahead (blue)", fontsize=9, ha="center")
     return figure_pixels(figure)

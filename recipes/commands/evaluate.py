@@ -27,7 +27,7 @@ from sphericalvision.recipes.app.captures import with_own_body_masked
 from sphericalvision.recipes.app.cli import build, choose_device, print_config
 from sphericalvision.recipes.app.kinds import STRICT, Device, Number, OnlyWith, Positive, Share, Text
 from sphericalvision.recipes.datamodules.data_module import SampleDataModule
-from sphericalvision.recipes.datamodules.entries import DepthDataModule
+from sphericalvision.recipes.datamodules.depth_data_module import DepthDataModule
 from sphericalvision.recipes.evaluation.frames import SampleFrames
 from sphericalvision.recipes.evaluation.loop import VertexErrors, evaluate, limit_text, mean_errors_by_method
 from sphericalvision.recipes.evaluation.methods import (

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The entries of samples with depth: which a network wants, and how it gets them from a batch."""
+"""The entries of samples: which a network wants, and how it gets them from a batch."""
 
 from __future__ import annotations
 
@@ -14,11 +14,9 @@ from torch import Tensor
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.data import SampleView
 from sphericalvision.models import DepthNetwork
-from sphericalvision.recipes.datamodules.data_module import SampleDataModule
 from sphericalvision.scenes.samples import images_as_floats
-from sphericalvision.scenes.world import NATURAL_MIN_DEPTH
 
-__all__ = ["DepthDataModule", "Entries", "images_of", "truth_of", "view_of", "view_with"]
+__all__ = ["Entries", "images_of", "truth_of", "view_of", "view_with"]
 
 Sample = dict[str, Any]
 
@@ -26,27 +24,6 @@ Entry = Literal["sphere", "depth", "fisheye", "panorama"]
 Entries = Annotated[Sequence[Entry], MinLen(1)] | None
 """What samples hold, in place of what the network takes: images and depth on the icosphere, depth there alone, images
 of the cameras, a panorama of depth."""
-
-
-class DepthDataModule(SampleDataModule):
-    """Samples with depth, as the network takes them that they are for; a field ``entries`` may ask for others."""
-
-    entries: Entries = None
-
-    @property
-    def usual_panorama(self) -> tuple[int, int]:
-        """(height, width) of panoramas of depth for networks that are not on panoramas."""
-        return 80, 160
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.min_depth = NATURAL_MIN_DEPTH
-        self.view = view_with(self.entries or ("sphere",), SampleView(5, 3, True, self.usual_panorama))
-
-    def bind_network(self, net: Any, *more: str, depth_level: int | None = None) -> None:
-        """Give samples that suit a network, with ``more`` entries; entries that the configuration names stay."""
-        self.min_depth = net.min_depth
-        self.view = view_of(net, self.entries or (), more, depth_level, self.usual_panorama)
 
 
 def view_of(

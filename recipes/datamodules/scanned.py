@@ -28,7 +28,8 @@ from sphericalvision.data.scanned.widedepth import WideDepthDataset
 from sphericalvision.recipes.app.captures import CaptureFields
 from sphericalvision.recipes.app.kinds import Count, Positive, Share, Text
 from sphericalvision.recipes.datamodules.data_module import Sample
-from sphericalvision.recipes.datamodules.entries import DepthDataModule, Entries
+from sphericalvision.recipes.datamodules.depth_data_module import DepthDataModule
+from sphericalvision.recipes.datamodules.entries import Entries
 
 __all__ = [
     "Deep360DataModule",

@@ -17,7 +17,7 @@ from sphericalvision.data import RotateFisheye, SampleView
 from sphericalvision.data.sample_view import ToView
 from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.datamodules.data_module import Sample, SampleDataModule
-from sphericalvision.recipes.datamodules.entries import DepthDataModule
+from sphericalvision.recipes.datamodules.depth_data_module import DepthDataModule
 from sphericalvision.recipes.datamodules.omnistereo import OmniStereoDataModule
 from sphericalvision.recipes.evaluation.frames import SampleFrames
 from sphericalvision.recipes.study.training import CHANGES_NOTHING

@@ -63,6 +63,7 @@ def crown_conv2d(
         Komatsu et al. (2020), CrownConv; Hoogeboom et al. (2018), "HexaConv".
 
     Examples:
+        >>> import torch
         >>> from sphericalvision.crown import to_crown
         >>> crown_conv2d(to_crown(torch.ones(1, 4, 42)), torch.ones(8, 4, 7), stride=2).col.shape
         torch.Size([1, 5, 8, 3, 2])
@@ -90,6 +91,7 @@ def crown_conv3d(
         ArgumentError: if the stride is neither 1 nor 2, or 2 at level 0.
 
     Examples:
+        >>> import torch
         >>> from sphericalvision.crown import to_crown
         >>> crown_conv3d(to_crown(torch.ones(1, 4, 16, 42)), torch.ones(8, 4, 21)).row.shape
         torch.Size([1, 5, 8, 16, 3, 5])

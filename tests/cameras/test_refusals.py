@@ -13,10 +13,10 @@ from typing import Any
 
 import pytest
 
-from tests.cameras.calibration_samples import blender
+from tests.cameras.calibration_samples import blender, dumped
 from tests.cameras.test_calibration import OCAM as OCAM_TEXT
 from tests.cameras.test_damaged_files import CONTENTS, TEXTS
-from tests.cameras.test_understood import DUAL, OTHER_TEXTS, SCALE, read, write
+from tests.cameras.test_understood import DUAL, OTHER_TEXTS, SCALE, read
 
 GONE = object()
 """In place of a value: its key is not there."""
@@ -208,7 +208,7 @@ WORDS: dict[str, list[tuple[str, str, str]]] = {  # file -> what stands in it, w
         ('stretch": 1.0', 'stretch": 1.33', "input_horizontal_stretch: expected 1"),
     ],
     "reconstruction.json": [("fisheye_opencv", "fisheye62", "projection_type: expected one of")],
-    "mc_calib.yaml": [("camera_1:\n  camera_group: 0", "camera_1:\n  camera_group: 1", "camera_group")],
+    "mc_calib.yaml": [("type: 0\n  camera_group: 0", "type: 0\n  camera_group: 1", "camera_group")],
 }  # fmt: skip
 
 
@@ -233,7 +233,7 @@ def test_a_wrong_value_is_named(tmp_path: Path, name: str, way: str, value: Any,
         del inner[keys[-1]]
     else:
         inner[keys[-1]] = value
-    assert message in said(tmp_path, name, write(content, name))
+    assert message in said(tmp_path, name, dumped(content, name))
 
 
 @pytest.mark.parametrize(("name", "old", "new", "message"), [(f, *row) for f in WORDS for row in WORDS[f]])

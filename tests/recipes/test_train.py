@@ -75,11 +75,11 @@ def test_evaluation_equals_validation(run: Run, tmp_path: Path, trained: Any) ->
     assert program == "sphericalvision-evaluate"
     run("evaluate", *words, "split=val", "output=table", "device=cpu")
     (evaluated,) = json.loads((tmp_path / "table/metrics.json").read_text()).values()
-    assert list(evaluated) == list(METRICS)
-    assert evaluated == pytest.approx(validated, abs=1e-4)
+    assert list(evaluated) == [*METRICS, "AbsRel", "d<1.25"]
+    assert {name: evaluated[name] for name in METRICS} == pytest.approx(validated, abs=1e-4)
     assert (tmp_path / "table/metrics.md").read_text().startswith("| | >1 | >3 | >5 | MAE | RMS |")
     assert "val, 2 frame(s), level " in (tmp_path / "table/metrics.md").read_text()
-    assert r"& $>$5 & MAE & RMS \\" in (tmp_path / "table/metrics.tex").read_text()
+    assert r"& $>$5 & MAE & RMS & AbsRel & " in (tmp_path / "table/metrics.tex").read_text()
 
 
 def test_the_printed_resume_command_has_real_paths(trained: Any) -> None:

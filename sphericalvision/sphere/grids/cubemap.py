@@ -103,9 +103,9 @@ class Cubemap(GridModule):
         """Face ``(*)`` that each direction ``(*, 3)`` goes through, and its tangents (x, y) ``(*, 2)`` there, -1 to 1.
 
         Examples:
-            >>> face, tangents = Cubemap(4).face_coordinates(torch.tensor([3.0, 1.5, 0.0]))
+            >>> face, tangents = Cubemap(4).face_coordinates(torch.tensor([3.0, 1.5, -0.75]))
             >>> face.item(), tangents
-            (1, tensor([0.0000, 0.5000]))
+            (1, tensor([0.2500, 0.5000]))
         """
         check_last_dim("directions", directions, 3)
         x, y, z = components(moderate_lengths(directions))

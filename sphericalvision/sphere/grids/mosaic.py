@@ -19,6 +19,7 @@ def mosaic(tiles: Shaped[Tensor, "*batch n s s"]) -> Shaped[Tensor, "*batch _ _"
     """One image ``(*, rows * s, columns * s)`` of tiles ``(*, n, s, s)``, row by row; zeros where none is left.
 
     Examples:
+        >>> import torch
         >>> mosaic(torch.arange(3.0).view(3, 1, 1))
         tensor([[0., 1.],
                 [2., 0.]])
@@ -37,6 +38,7 @@ def mosaic_pixels(
     """Pixels (u, v) ``(*, 2)`` of the mosaic from pixels of tiles ``(*)`` of ``count``, each ``side`` wide.
 
     Examples:
+        >>> import torch
         >>> mosaic_pixels(torch.tensor(2), torch.tensor([0.5, 1.0]), 3, 4).tolist()
         [0.5, 5.0]
     """

@@ -173,7 +173,7 @@ def test_readme_of_a_release_has_no_relative_link(monkeypatch: pytest.MonkeyPatc
     assert all(target.startswith("https://") for target in targets), targets
     if url is None:
         assert "![" not in text
-        assert "python docs/capture.py film" not in text
+        assert "python docs/drive.py" not in text
         assert "follows one page of conventions." in text
         return
     inside = [re.split(r"/(?:raw|blob)/v1\.2/", target)[1] for target in targets if target.startswith(url)]

@@ -21,7 +21,7 @@ from omegaconf.errors import MissingMandatoryValue
 
 from sphericalvision.cameras import CameraRig, KannalaBrandtCamera, ring_rig, save_camera, save_rig
 from sphericalvision.data import write_omnistereo
-from sphericalvision.io.images import write_image, write_mask
+from sphericalvision.io.images import read_image, write_image, write_mask
 from sphericalvision.models import IcoSweepNet, save_weights
 from sphericalvision.recipes.app.checks import check_keys
 from sphericalvision.recipes.app.running import config_space
@@ -37,6 +37,7 @@ from tests.recipes.scanned_sets import (
     write_spires,
     write_widedepth,
 )
+from tests.recipes.tiny import write_streams
 from tests.worlds import recorded_frames
 
 __all__ = [
@@ -185,6 +186,10 @@ def run_command(command: Command, folder: Path, cache: Path) -> None:
     if command.recipe == "calibrate":
         for name in ("board", "boards/front", "boards/back"):
             write_boards(folder / name)
+        if any(".insv" in word for word in words):
+            pictures = [read_image(file) for file in sorted((folder / "board").glob("*.png"))]
+            frames = [(255 * picture).byte().movedim(0, -1).numpy() for picture in pictures]
+            write_streams(folder / "VID_board.insv", [frames, frames])
         sides = "rowSpacingMeters: 0.05\ncolSpacingMeters: 0.05"
         (folder / "target.yaml").write_text(
             f"target_type: checkerboard\ntargetCols: 7\ntargetRows: 5\n{sides}\n"

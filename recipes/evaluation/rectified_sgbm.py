@@ -8,7 +8,6 @@ from typing import Any, ClassVar, Literal
 
 import cv2
 import torch
-from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, EquirectangularCamera, RectifiedPair, rectified_pairs
@@ -65,15 +64,9 @@ class RectifiedSGBM(DepthNetwork):
         return rig, rectified_pairs(rig)
 
     @torch.no_grad()
-    def predict(
-        self,
-        images: Float[Tensor, "B n 3 H W"],
-        rig: CameraRig | Any,
-        seen: Bool[Tensor, "B n H W"] | Bool[Tensor, "n H W"] | None = None,
-        hint: DepthHint | None = None,
+    def _estimate(
+        self, images: Tensor, rig: CameraRig | Any, seen: Tensor | None, hint: DepthHint | None
     ) -> DepthEstimate:
-        """Return index, confidence and whether a pair saw it, each ``(B, h, 2 h)``; as ``DepthNetwork.predict``."""
-        self.check_images(images, seen, hint)
         rig, pairs = self.tables(rig) if isinstance(rig, CameraRig) else rig
         usable = torch.ones_like(images[:, :, :1]) if seen is None else seen.to(images).unsqueeze(-3)
         layers = torch.cat((unsigned(images), usable.expand_as(images[:, :, :1])), -3).unbind(1)

@@ -97,8 +97,9 @@ def _plain(name: str, value: Any) -> Any:
 class DepthNetwork(RemembersArguments):
     """Depth around a rig as hypothesis indices on a grid of directions: the base of all networks that estimate it.
 
-    A subclass declares the images it takes in ``images``, sets ``grid``, and implements ``predict``. All other methods
-    follow from these, and may be overridden. The package never depends on the class of a network.
+    A subclass declares the images it takes in ``images``, sets ``grid``, and implements ``predict``, or ``_estimate``,
+    to which ``predict`` passes what it has checked. All other methods follow from these, and may be overridden. The
+    package never depends on the class of a network.
 
     Convention:
         Images are in [-1, 1], in the order of ``rig.names``. ``seen`` is True inside the field of view and where not
@@ -189,6 +190,13 @@ class DepthNetwork(RemembersArguments):
             ArgumentError: a hint for a network that takes none.
             ShapeError: if the images have another shape than the network or the rig asks for.
         """
+        self.check_images(images, seen, hint)
+        return self._estimate(images, rig, seen, hint)
+
+    def _estimate(
+        self, images: Tensor, rig: CameraRig | Any, seen: Tensor | None, hint: DepthHint | None
+    ) -> DepthEstimate:
+        """What ``predict`` returns; images, ``seen`` and hint have the right shapes."""
         raise NotImplementedError(f"{type(self).__name__}.predict")
 
     def forward(

@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
@@ -125,25 +125,9 @@ class IcoSweepNet(DepthNetwork):
             self.aggregation.out_channels, volume_channels, norm, fusion_channels
         )
 
-    def predict(
-        self,
-        images: Float[Tensor, "B n 3 V_image"],
-        rig: CameraRig | SweepTables,
-        seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
-        hint: DepthHint | None = None,
+    def _estimate(
+        self, images: Tensor, rig: CameraRig | SweepTables, seen: Tensor | None, hint: DepthHint | None
     ) -> DepthEstimate:
-        """Return index, confidence and whether two cameras saw it, each ``(B, V_{level-2})``.
-
-        Args:
-            images: ``(B, n, 3, V_level)``.
-            rig: of all samples or, with batched poses, a rig a sample; or the ``tables`` of either.
-            seen: ``([B,] n, V_level)``, True where the images show something. When not given, all that is inside the
-                fields of view was seen.
-
-        Raises:
-            ShapeError: if the images have another shape than the network or the rig asks for.
-        """
-        self.check_images(images, seen, hint)
         # A line a stage; the largest tensors share one name, so that each goes as soon as the next one stands.
         features = self.extract_features(images)
         volume, views = self.sweep(features, rig, seen)

@@ -131,21 +131,15 @@ class OmniMVS(DepthNetwork):
         """Return where each camera sees every point of the sweep, to be passed in place of the rig."""
         return self.sweep.tables(rig)
 
-    def predict(
-        self,
-        images: Float[Tensor, "B n C H W"],
-        rig: CameraRig | PanoramaTables,
-        seen: Bool[Tensor, "B n H W"] | Bool[Tensor, "n H W"] | None = None,
-        hint: DepthHint | None = None,
+    def _estimate(
+        self, images: Tensor, rig: CameraRig | PanoramaTables, seen: Tensor | None, hint: DepthHint | None
     ) -> DepthEstimate:
-        """Return index, confidence and whether two cameras saw it, each ``(B, h, w)``, as ``DepthNetwork.predict``."""
-        self.check_images(images, seen, hint)
         tables = self.sweep.tables_for(images, rig)
         features = self.extract_features(images)
         swept = self.sweep_features(features, tables, seen)
         volume = self.aggregation(swept)
         scores = self.hourglass(volume).flatten(2)
-        return self._estimate(scores, tables, seen)
+        return self._regression(scores, tables, seen)
 
     def extract_features(self, images: Float[Tensor, "B n C_in H W"]) -> Float[Tensor, "B n C h_f w_f"]:
         """Return the features ``(B, n, C, ceil(H / 2), ceil(W / 2))`` of images ``(B, n, 1 or 3, H, W)``.
@@ -175,7 +169,7 @@ class OmniMVS(DepthNetwork):
             torch.stack(volumes, 1), points_seen.expand(len(features), *points_seen.shape[-4:])
         )
 
-    def _estimate(self, scores: Tensor, tables: PanoramaTables, seen: Tensor | None) -> DepthEstimate:
+    def _regression(self, scores: Tensor, tables: PanoramaTables, seen: Tensor | None) -> DepthEstimate:
         """Index and confidence of scores ``(B, N, h * w)``, and what was seen at the nearest sphere that is swept."""
         index = soft_argmax(scores).unflatten(1, self.grid.shape)
         confidence = soft_argmax_confidence(scores).unflatten(1, self.grid.shape)

@@ -224,25 +224,16 @@ class RefinedSweepNet(DepthNetwork):
         seen = sweep.seen if self.level == self.coarse_level + 1 else seen_in_view(rig, self.level)
         return RefinedTables(sweep, self.prior.tables(rig), _offsets(rig), seen.to(sweep.seen.device))
 
-    def predict(
-        self,
-        images: Float[Tensor, "B n 3 V_image"],
-        rig: CameraRig | RefinedTables,
-        seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
-        hint: DepthHint | None = None,
+    def _estimate(
+        self, images: Tensor, rig: CameraRig | RefinedTables, seen: Tensor | None, hint: DepthHint | None
     ) -> DepthEstimate:
-        """Return index, confidence and whether two cameras saw it, each ``(B, V_level)``.
-
-        As ``DepthNetwork.predict``; without ``seen``, all that fields of view and masks of the rig hold was seen.
-        """
-        self.check_images(images, seen, hint)
         tables = rig if isinstance(rig, RefinedTables) else self.tables(rig)
         views = self.views(images, tables.seen if seen is None else seen)
         coarse, coarse_seen = views[0]
         clues = self.clues(coarse, tables, coarse_seen)
         hints = self.hints(hint)
         fused = self.fuse(clues, coarse, coarse_seen, tables.offsets, hints[0])
-        index, confidence, sky, seen_by_two, _ = self.refine(fused, views, tables.offsets, hints[1:])
+        index, confidence, sky, seen_by_two, _ = self.refinements(fused, views, tables.offsets, hints[1:])[-1]
         # Nothing there: as far as can be. What is there is not: an index of nearly 0 is a depth of kilometres.
         index = index.clamp(min=FARTHEST).masked_fill(sky >= 0, 0.0)
         scale = (self.num_hypotheses - 1) / (self.inner_hypotheses - 1)
@@ -306,23 +297,6 @@ class RefinedSweepNet(DepthNetwork):
         appearance = self._appearance(start[:, None], images, seen, offsets)
         return self.fusion(clues, prior, start, appearance, self.up, size, hint)  # type: ignore[no-any-return]
 
-    def refine(
-        self,
-        fused: FusedLogits,
-        views: Sequence[tuple[Tensor, Tensor]],
-        offsets: Float[Tensor, "*batch n 3"],
-        hints: Sequence[HintedIndex | None] | None = None,
-    ) -> RefinedIndex:
-        """Return the answer at the level of the images, in inner hypotheses.
-
-        Args:
-            fused: of ``fuse``.
-            views: of the method of that name, a step each.
-            offsets: of the tables.
-            hints: at the levels of the views; none when not given.
-        """
-        return self.refinements(fused, views, offsets, hints)[-1]
-
     def refinements(
         self,
         fused: FusedLogits,
@@ -330,7 +304,14 @@ class RefinedSweepNet(DepthNetwork):
         offsets: Float[Tensor, "*batch n 3"],
         hints: Sequence[HintedIndex | None] | None = None,
     ) -> list[RefinedIndex]:
-        """Return the answers at all levels from ``coarse_level + 1`` on; arguments as of ``refine``."""
+        """Return the answers at all levels from ``coarse_level + 1`` to that of the images, in inner hypotheses.
+
+        Args:
+            fused: of ``fuse``.
+            views: of the method of that name, a step each.
+            offsets: of the tables.
+            hints: at the levels of the views; none when not given.
+        """
         modes, answers, trust = None, [], fused.trust
         if hints is not None and trust is not None:  # one that the images refuse is no candidate
             hints = [None if hint is None else hint.trusted(trust) for hint in hints]

@@ -114,19 +114,10 @@ class RomniStereo(DepthNetwork):
         """Return where each camera sees every point of the sweep, to be passed in place of the rig."""
         return self.sweep.tables(rig)
 
-    def predict(
-        self,
-        images: Float[Tensor, "B 4 C H W"],
-        rig: CameraRig | PanoramaTables,
-        seen: Bool[Tensor, "B 4 H W"] | Bool[Tensor, "4 H W"] | None = None,
-        hint: DepthHint | None = None,
+    def _estimate(
+        self, images: Tensor, rig: CameraRig | PanoramaTables, seen: Tensor | None, hint: DepthHint | None
     ) -> DepthEstimate:
-        """Return index, confidence and whether two cameras saw it, each ``(B, h, w)``, as ``DepthNetwork.predict``.
-
-        Images are those of the cameras in front, to the right, behind and to the left, in this order.
-        """
-        tables, maps = self._inputs(images, rig, seen, hint)
-        indices = self.refined(*self.volumes(maps, tables))
+        tables, indices = self._indices(images, rig)
         index = indices[-1].clamp(0, self.num_hypotheses - 1)
         moved = (indices[-1] - indices[-2] if len(indices) > 1 else indices[-1]).abs()
         # What was seen is told by the point in whose square of four pixels the nearest sphere is.
@@ -147,29 +138,24 @@ class RomniStereo(DepthNetwork):
         hint: DepthHint | None = None,
     ) -> Float[Tensor, ""]:
         """Return the loss of every iteration, the later the heavier; arguments as in ``DepthNetwork``."""
-        tables, maps = self._inputs(images, rig, seen, hint)
-        indices = self.refined(*self.volumes(maps, tables))
+        self.check_images(images, seen, hint)
+        indices = self._indices(images, rig)[1]
         spacing = TRAINED_ITERATIONS / len(indices)
         weights = [DECAY ** (spacing * (len(indices) - 1 - i)) for i in range(len(indices))]
         losses = [w * loss(index, target, valid) for w, index in zip(weights, indices, strict=True)]
         return torch.stack(losses).sum()
 
-    def _inputs(
-        self,
-        images: Tensor,
-        rig: CameraRig | PanoramaTables,
-        seen: Tensor | None,
-        hint: DepthHint | None = None,
-    ) -> tuple[PanoramaTables, Tensor]:
-        """The tables of the rig and the features ``(B, 4, C, ceil(H / 2), ceil(W / 2))`` of the images."""
-        self.check_images(images, seen, hint)
+    def _indices(
+        self, images: Tensor, rig: CameraRig | PanoramaTables
+    ) -> tuple[PanoramaTables, list[Tensor]]:
+        """The tables of the rig, and the index ``(B, h, w)`` after each iteration."""
         tables = self.sweep.tables_for(images, rig)
         if self.in_channels == 1:
             images = images.sum(2, keepdim=True)
         flat = images.flatten(0, 1).contiguous(memory_format=torch.channels_last)
         maps = self.features(flat).unflatten(0, images.shape[:2])
         self.sweep.check_maps(maps, tables)
-        return tables, maps
+        return tables, self.refined(*self.volumes(maps, tables))
 
     def volumes(
         self, maps: Float[Tensor, "B 4 C h_f w_f"], tables: PanoramaTables

@@ -40,25 +40,6 @@ class _WithoutTraining(DepthNetwork):
             raise ArgumentError(f"depth_coarsening: expected 0 to level = {level}, got {depth_coarsening!r}")
         self.level, self.grid = level, Icosphere(level - depth_coarsening)
 
-    @torch.no_grad()
-    def predict(
-        self,
-        images: Float[Tensor, "B n 3 V_image"],
-        rig: CameraRig | Any,
-        seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
-        hint: DepthHint | None = None,
-    ) -> DepthEstimate:
-        """Return index, confidence and whether two cameras saw it, each ``(B, V)``, without gradients.
-
-        As ``DepthNetwork.predict``; without ``seen``, all that fields of view and masks of the rig hold was seen.
-        """
-        self.check_images(images, seen, hint)
-        return self._estimate(images, self.tables(rig) if isinstance(rig, CameraRig) else rig, seen)
-
-    def _estimate(self, images: Tensor, tables: Any, seen: Tensor | None) -> DepthEstimate:
-        """The estimate from images that fit, and what ``tables`` returns."""
-        raise NotImplementedError(f"{type(self).__name__}._estimate")
-
 
 class SemiGlobalSweep(_WithoutTraining):
     """``semi_global_sweep`` as a network without parameters: correlation of the best cameras, smoothed.
@@ -111,10 +92,13 @@ class SemiGlobalSweep(_WithoutTraining):
             rig, self.num_hypotheses, self.min_depth, self.level, self.cost_level, self.substeps
         )
 
-    def _estimate(self, images: Tensor, tables: SemiGlobalTables, seen: Tensor | None) -> DepthEstimate:
+    @torch.no_grad()
+    def _estimate(
+        self, images: Tensor, rig: CameraRig | SemiGlobalTables, seen: Tensor | None, hint: DepthHint | None
+    ) -> DepthEstimate:
         return semi_global_sweep(
             images,
-            tables,
+            self.tables(rig) if isinstance(rig, CameraRig) else rig,
             self.num_hypotheses,
             self.min_depth,
             self.depth_level,
@@ -158,10 +142,13 @@ class WinnerTakesAll(_WithoutTraining):
         super().__init__(level, num_hypotheses, min_depth, depth_coarsening)
         self.rounds, self.subhypothesis = rounds, subhypothesis
 
-    def _estimate(self, images: Tensor, tables: CameraRig, seen: Tensor | None) -> DepthEstimate:
+    @torch.no_grad()
+    def _estimate(
+        self, images: Tensor, rig: CameraRig, seen: Tensor | None, hint: DepthHint | None
+    ) -> DepthEstimate:
         return photo_consistency(
             images,
-            tables.to(self.device),
+            rig.to(self.device),
             self.num_hypotheses,
             self.min_depth,
             self.depth_level,
@@ -221,7 +208,9 @@ class ConstantDepth(_WithoutTraining):
         self.index = each.where(~each.isnan(), whole).expand(self.grid.shape).to(self.index).clone()
         return self
 
-    def _estimate(self, images: Tensor, tables: Any, seen: Tensor | None) -> DepthEstimate:
+    def _estimate(
+        self, images: Tensor, rig: Any, seen: Tensor | None, hint: DepthHint | None
+    ) -> DepthEstimate:
         index = self.index.expand(len(images), -1)
         return DepthEstimate(index, torch.ones_like(index), torch.ones_like(index, dtype=torch.bool))
 

@@ -34,9 +34,7 @@ def random_corridor(generator: torch.Generator, clear_radius: float = 0.6) -> Sc
         rooms.add_window(corridor, 0, opening)
     _doors(corridor)
     _lamps(corridor)
-    rooms.furnish(corridor, palette.integer(1, 5))
-    rooms.decorate(corridor)
-    rooms.hang_small_things(corridor)
+    rooms.fill(corridor, palette.integer(1, 5))
     return palette.scene(
         corridor.parts,
         corridor.lamps,

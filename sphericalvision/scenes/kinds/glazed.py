@@ -39,9 +39,7 @@ def random_glazed_room(generator: torch.Generator, clear_radius: float = 0.6) ->
         (rooms.add_window if palette.chance(0.15) else add_panes)(room, side, opening)
     if palette.chance(0.7):
         _outside(room)
-    rooms.furnish(room, palette.integer(3, 14))
-    rooms.decorate(room)
-    rooms.hang_small_things(room)
+    rooms.fill(room, palette.integer(3, 14))
     return palette.scene(
         room.parts,
         room.lamps,

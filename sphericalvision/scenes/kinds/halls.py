@@ -28,9 +28,7 @@ def random_hall(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
     _strip_lights(hall, palette.integer(2, 3))
     for _ in range(palette.integer(4, 12)):
         _crates(hall)
-    rooms.furnish(hall, palette.integer(4, 10))
-    rooms.decorate(hall)
-    rooms.hang_small_things(hall)
+    rooms.fill(hall, palette.integer(4, 10))
     return palette.scene(
         hall.parts,
         hall.lamps,

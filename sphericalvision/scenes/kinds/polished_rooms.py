@@ -33,9 +33,7 @@ def random_polished_room(generator: torch.Generator, clear_radius: float = 0.6) 
     rooms.add_window(room, side, window)
     if palette.chance(0.4):
         _wall_mirror(room, (side + 1) % 4)
-    rooms.furnish(room, palette.integer(6, 14))
-    rooms.decorate(room, rug=False)
-    rooms.hang_small_things(room)
+    rooms.fill(room, palette.integer(6, 14), rug=False)
     return palette.scene(
         room.parts,
         room.lamps,

@@ -30,9 +30,9 @@ __all__ = [
     "add_window",
     "build_shell",
     "decorate",
+    "fill",
     "furnish",
     "hang_lamps",
-    "hang_small_things",
     "random_opening",
     "random_room",
     "wall_piece",
@@ -130,9 +130,7 @@ def random_room(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
     hang_lamps(room, palette.integer(1, 2))
     for side, (kind, opening) in openings.items():
         (add_door if kind == "door" else add_window)(room, side, opening)
-    furnish(room, palette.integer(8, 18))
-    decorate(room)
-    hang_small_things(room)
+    fill(room, palette.integer(8, 18))
     ambient = palette.uniform(0.06, 0.14)
     return palette.scene(
         room.parts,
@@ -287,6 +285,13 @@ def hang_lamps(room: Room, count: int) -> None:
         room.lamps.append(Lamp((x, y, z), color, reach=palette.uniform(1.0, 2.0)))
 
 
+def fill(room: Room, count: int, rug: bool = True) -> None:
+    """Pieces of furniture, pictures and perhaps a rug, and small things at the height of the rig."""
+    furnish(room, count)
+    decorate(room, rug)
+    _hang_small_things(room)
+
+
 def furnish(room: Room, count: int) -> None:
     """Furniture along the walls and in the middle."""
     palette = room.palette
@@ -342,7 +347,7 @@ def _over(part: Part, other: Part) -> bool:
     return math.dist(part.center, other.center) < math.hypot(*part.half) + 0.6 * math.hypot(*other.half)
 
 
-def hang_small_things(room: Room) -> None:
+def _hang_small_things(room: Room) -> None:
     """Thin and small things at the height of the rig, so that near depths occur too."""
     palette = room.palette
     for _ in range(palette.integer(1, 4)):

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +29,8 @@ __all__ = [
     "rigs_in",
     "text_files",
 ]
+
+Record = TypeVar("Record")
 
 MODELS: dict[str, tuple[int, str]] = {
     "SIMPLE_PINHOLE": (0, "f cx cy"),
@@ -126,10 +128,13 @@ def _parameters(model: str) -> list[str]:
     return [word.split("=")[0] for word in MODELS[model][1].split()]
 
 
+_BY_NUMBER = {number: (name, _parameters(name)) for name, (number, _) in MODELS.items()}
+
+
 def cameras_in(path: Path) -> list[CameraRecord]:
     """Of ``cameras.txt`` or ``cameras.bin``."""
     if path.suffix == ".bin":
-        return _binary_cameras(_Bytes(path))
+        return _Bytes(path).records(_binary_camera)
     cameras = []
     for line, words in data_lines(path):
         where = f"{path}, line {line}"
@@ -150,7 +155,7 @@ def cameras_in(path: Path) -> list[CameraRecord]:
 def images_in(path: Path) -> list[ImageRecord]:
     """Of ``images.txt``, whose lines come in pairs, the second of which may be empty, or ``images.bin``."""
     if path.suffix == ".bin":
-        return _binary_images(_Bytes(path))
+        return _Bytes(path).records(_binary_image)
     lines = [
         (number, line)
         for number, line in enumerate(read_text(path).splitlines(), start=1)
@@ -183,7 +188,7 @@ def images_in(path: Path) -> list[ImageRecord]:
 def rigs_in(path: Path) -> list[RigRecord]:
     """Of ``rigs.txt`` or ``rigs.bin``."""
     if path.suffix == ".bin":
-        return _binary_rigs(_Bytes(path))
+        return _Bytes(path).records(_binary_rig)
     rigs = []
     for line, words in data_lines(path):
         where = f"{path}, line {line}"
@@ -256,65 +261,56 @@ class _Bytes:
         except UnicodeDecodeError:
             raise FileFormatError(f"{self.where}: expected the name of an image") from None
 
-    def end(self) -> None:
-        """Raise unless everything was read."""
+    def records(self, record: Callable[[_Bytes], Record]) -> list[Record]:
+        """All records of a file that begins with their number.
+
+        Raises:
+            FileFormatError: the file goes on after them.
+        """
+        records = [record(self) for _ in range(self.take("Q")[0])]
         if self.at != len(self.data):
             raise FileFormatError(f"{self.where}: {len(self.data) - self.at} bytes more than announced")
+        return records
 
 
-def _binary_cameras(file: _Bytes) -> list[CameraRecord]:
-    by_number = {number: (name, _parameters(name)) for name, (number, _) in MODELS.items()}
-    cameras = []
-    for _ in range(file.take("Q")[0]):
-        where = file.where
-        id, model, width, height = file.take("IiQQ")
-        if model not in by_number:
-            raise FileFormatError(f"{where}: expected a model from 0 to {max(by_number)}, got {model}")
-        name, names = by_number[model]
-        if model >= FORKED and len(file.data) - file.at < 8 * len(names):
-            raise FileFormatError(
-                f"{where}: model {model} is COLMAP's {name} of {len(names)} numbers, for which the file is too short. "
-                "Forks give other models this number, SphereSfM its SPHERE of three; export the model as text there, "
-                "and call a panorama EQUIRECTANGULAR w h"
-            )
-        values = list(file.take(f"{len(names)}d"))
-        parameters = numbers(values, f"{where}, {name} ({' '.join(names)})")
-        cameras.append(CameraRecord(where, id, name, (width, height), parameters))
-    file.end()
-    return cameras
-
-
-def _binary_images(file: _Bytes) -> list[ImageRecord]:
-    images = []
-    for _ in range(file.take("Q")[0]):
-        where = file.where
-        image, *pose, camera = file.take("I7dI")
-        name = file.word()
-        file.skip(24 * file.take("Q")[0])
-        images.append(
-            ImageRecord(where, image, numbers(pose, f"{where}, QW QX QY QZ TX TY TZ"), camera, name)
+def _binary_camera(file: _Bytes) -> CameraRecord:
+    where = file.where
+    id, model, width, height = file.take("IiQQ")
+    if model not in _BY_NUMBER:
+        raise FileFormatError(f"{where}: expected a model from 0 to {max(_BY_NUMBER)}, got {model}")
+    name, names = _BY_NUMBER[model]
+    if model >= FORKED and len(file.data) - file.at < 8 * len(names):
+        raise FileFormatError(
+            f"{where}: model {model} is COLMAP's {name} of {len(names)} numbers, for which the file is too short. "
+            "Forks give other models this number, SphereSfM its SPHERE of three; export the model as text there, "
+            "and call a panorama EQUIRECTANGULAR w h"
         )
-    file.end()
-    return images
+    values = list(file.take(f"{len(names)}d"))
+    parameters = numbers(values, f"{where}, {name} ({' '.join(names)})")
+    return CameraRecord(where, id, name, (width, height), parameters)
 
 
-def _binary_rigs(file: _Bytes) -> list[RigRecord]:
-    rigs = []
-    for _ in range(file.take("Q")[0]):
-        where = file.where
-        rig, count = file.take("II")
-        if count < 1:
-            raise FileFormatError(f"{where}: expected at least one sensor, got none")
-        reference = SensorRecord(*_binary_sensor(file), None)
-        sensors = []
-        for _ in range(count - 1):
-            type, id = _binary_sensor(file)
-            has_pose = file.take("B")[0]
-            pose = numbers(list(file.take("7d")), f"{where}, QW QX QY QZ TX TY TZ") if has_pose else None
-            sensors.append(SensorRecord(type, id, pose))
-        rigs.append(RigRecord(where, rig, reference, sensors))
-    file.end()
-    return rigs
+def _binary_image(file: _Bytes) -> ImageRecord:
+    where = file.where
+    image, *pose, camera = file.take("I7dI")
+    name = file.word()
+    file.skip(24 * file.take("Q")[0])
+    return ImageRecord(where, image, numbers(pose, f"{where}, QW QX QY QZ TX TY TZ"), camera, name)
+
+
+def _binary_rig(file: _Bytes) -> RigRecord:
+    where = file.where
+    rig, count = file.take("II")
+    if count < 1:
+        raise FileFormatError(f"{where}: expected at least one sensor, got none")
+    reference = SensorRecord(*_binary_sensor(file), None)
+    sensors = []
+    for _ in range(count - 1):
+        type, id = _binary_sensor(file)
+        has_pose = file.take("B")[0]
+        pose = numbers(list(file.take("7d")), f"{where}, QW QX QY QZ TX TY TZ") if has_pose else None
+        sensors.append(SensorRecord(type, id, pose))
+    return RigRecord(where, rig, reference, sensors)
 
 
 def _binary_sensor(file: _Bytes) -> tuple[str, int]:

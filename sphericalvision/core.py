@@ -130,6 +130,16 @@ class MissingCompilerError(SphericalVisionError, RuntimeError):
     """
 
 
+def first_line(error: BaseException) -> str:
+    """Return the first line of an error's message, or its class where it has none, for the message of another.
+
+    Examples:
+        >>> first_line(ValueError("no header\\nat byte 0")), first_line(KeyError())
+        ('no header', 'KeyError')
+    """
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
 def short_repr(value: Any) -> str:
     """Show any value in an error message in at most 200 characters, whatever it holds.
 
@@ -218,13 +228,13 @@ def check_dtype(name: str, values: torch.Tensor, weight: torch.Tensor) -> None:
     )
 
 
-def check_channels(**channels: int) -> None:
+def check_counts(**numbers: int) -> None:
     """Raise ``ArgumentError`` unless all of these are whole numbers of 1 or more.
 
     Examples:
-        >>> check_channels(in_channels=3, out_channels=8)
+        >>> check_counts(in_channels=3, out_channels=8)
     """
-    for name, number in channels.items():
+    for name, number in numbers.items():
         if isinstance(number, bool) or not isinstance(number, int) or number < 1:
             raise ArgumentError(f"{name}: expected a whole number of 1 or more, got {short_repr(number)}")
 

@@ -333,13 +333,13 @@ cube_to_layout(torch.zeros(5, 4, 4)) -> values: expected a cube map \(\*, 6, s, 
 cube_to_layout(torch.zeros(6, 4, 4), 'cross') -> layout: expected one of 'dice', 'strip', 'list', 'dict'
 cube_from_layout(torch.zeros(3, 10, 12), 'dice') -> faces: expected one picture .* got \(3, 10, 12\)
 cube_from_layout({'front': torch.zeros(4, 4)}, 'dict') -> faces: keys front, right
-Cubemap(0) -> size: expected a positive number of pixels, got 0
+Cubemap(0) -> size: expected a whole number of 1 or more, got 0
 Cubemap(128, 128) -> dtype: got 128; this grid is 6×128×128
 # sphere: equirectangular
-Equirectangular(4, 0) -> width: expected a positive number of pixels, got 0
+Equirectangular(4, 0) -> width: expected a whole number of 1 or more, got 0
 # sphere: healpix
 Healpix(3, nested=True) -> nside: nested order needs a power of two
-Healpix(0) -> nside: expected a positive number of pixels, got 0
+Healpix(0) -> nside: expected a whole number of 1 or more, got 0
 Healpix(2).sample(torch.zeros(1, 50), torch.ones(1, 3)) -> values: expected shape \(\*b, c, 48\), got \(1, 50\)
 Healpix(2).locate(torch.ones(1, 3), 'rings') -> interpolation: expected one of 'healpy', 'chords'
 healpix_pool(torch.ones(108)) -> values: pixels nest for nside 1, 2, 4, 8, \.\.\., got nside 3

@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, by_triton, check_channels, constant_table
+from sphericalvision.core import ArgumentError, by_triton, check_counts, constant_table
 
 __all__ = [
     "COL_TAPS",
@@ -61,7 +61,7 @@ class HexagonWeights(nn.Module):
         self, in_channels: int, out_channels: int, stride: int, bias: bool, kernel_size: object = None
     ) -> None:
         super().__init__()
-        check_channels(in_channels=in_channels, out_channels=out_channels)
+        check_counts(in_channels=in_channels, out_channels=out_channels)
         check_hexagon(stride, kernel_size)
         self.stride = stride
         self.weight = nn.Parameter(torch.empty(out_channels, in_channels, self.taps))

@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError, check_channels, check_dtype, check_tensor
+from sphericalvision.core import ArgumentError, ShapeError, check_counts, check_dtype, check_tensor
 from sphericalvision.sphere.fast import conv_in_rows, read_pixels
 
 __all__ = ["SphereConv2d", "sphere_conv2d", "sphere_taps"]
@@ -108,7 +108,7 @@ class SphereConv2d(nn.Conv2d):
         groups: int = 1,
         bias: bool = True,
     ) -> None:
-        check_channels(in_channels=in_channels, out_channels=out_channels)
+        check_counts(in_channels=in_channels, out_channels=out_channels)
         if any(size % 2 == 0 for size in _pair(kernel_size)):
             raise ArgumentError(f"kernel_size: expected odd sizes, which have a centre, got {kernel_size}")
         super().__init__(

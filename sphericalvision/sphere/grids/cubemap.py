@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.core import check_floating, check_last_dim
+from sphericalvision.core import check_counts, check_floating, check_last_dim
 from sphericalvision.geometry.directions import (
     check_directions,
     components,
@@ -19,7 +19,7 @@ from sphericalvision.geometry.directions import (
 from sphericalvision.sphere.grids.cube_layouts import CUBE_FACES, world_from_cube_face
 from sphericalvision.sphere.grids.cube_padding import faces_continued
 from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels
-from sphericalvision.sphere.grids.sphere_grid import GridModule, check_cells, check_positive, check_values
+from sphericalvision.sphere.grids.sphere_grid import GridModule, check_cells, check_values
 
 __all__ = ["Cubemap"]
 
@@ -57,7 +57,7 @@ class Cubemap(GridModule):
         self, size: int, dtype: torch.dtype | None = None, device: torch.device | str | None = None
     ) -> None:
         super().__init__()
-        check_positive(size=size)
+        check_counts(size=size)
         check_cells(6 * size**2, size=size)
         self.size = size
         self._make_directions(dtype, device)

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_last_dim
+from sphericalvision.core import ArgumentError, ShapeError, check_counts, check_floating, check_last_dim
 from sphericalvision.geometry import (
     bilinear_sample,
     directions_from_longitude_latitude,
@@ -26,7 +26,7 @@ from sphericalvision.geometry.panorama import (
     limits_in_words,
     longitude_within,
 )
-from sphericalvision.sphere.grids.sphere_grid import GridModule, check_cells, check_positive, check_values
+from sphericalvision.sphere.grids.sphere_grid import GridModule, check_cells, check_values
 
 __all__ = ["Equirectangular"]
 
@@ -79,7 +79,7 @@ class Equirectangular(GridModule):
         longitudes: Sequence[float] = ALL_LONGITUDES,
     ) -> None:
         super().__init__()
-        check_positive(height=height, width=width)
+        check_counts(height=height, width=width)
         check_cells(height * width, height=height, width=width)
         if not 0 < max_latitude <= math.pi / 2 + 1e-9:
             raise ArgumentError(f"max_latitude: expected radians in (0, π/2], got {max_latitude!r}")
@@ -106,7 +106,7 @@ class Equirectangular(GridModule):
             >>> Equirectangular.with_square_pixels(160, 640)
             Equirectangular(height=160, width=640, latitudes within 45.0°)
         """
-        check_positive(height=height, width=width)
+        check_counts(height=height, width=width)
         if 2 * height > width:
             raise ArgumentError(
                 f"height, width: expected a height of at most half the width (pixels are square, and columns go "

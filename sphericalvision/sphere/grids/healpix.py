@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.core import check_choice, check_last_dim
+from sphericalvision.core import check_choice, check_counts, check_last_dim
 from sphericalvision.geometry import longitude_latitude_from_directions, normalize
 from sphericalvision.geometry.directions import (
     check_directions,
@@ -31,7 +31,7 @@ from sphericalvision.sphere.grids.healpix_pixels import (
     ring_start_count_shift,
     ring_theta,
 )
-from sphericalvision.sphere.grids.sphere_grid import GridModule, check_cells, check_positive
+from sphericalvision.sphere.grids.sphere_grid import GridModule, check_cells
 
 __all__ = ["Healpix"]
 
@@ -74,7 +74,7 @@ class Healpix(GridModule):
         device: torch.device | str | None = None,
     ) -> None:
         super().__init__()
-        check_positive(nside=nside)
+        check_counts(nside=nside)
         check_cells(12 * nside**2, nside=nside)
         self.nside = nside
         self.nested = bool(nested)

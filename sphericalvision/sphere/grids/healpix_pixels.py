@@ -75,17 +75,8 @@ def nested_from_ring(ids: Integer[Tensor, "*batch"], nside: int) -> Int[Tensor, 
 
 
 def ring_from_nested(ids: Integer[Tensor, "*batch"], nside: int) -> Int[Tensor, "*batch"]:
-    """Numbers ``(*)`` ring by ring of pixels numbered in the nested order ``(*)``; -1, no pixel, stays -1.
-
-    Args:
-        ids: of any integer type.
-        nside: pixels along the side of a base face, a power of two.
-
-    Returns:
-        int64 ``(*)``.
-
-    Raises:
-        ArgumentError: if nside is no power of two, ids are no integers, or there is no such pixel.
+    """Numbers ``(*)`` ring by ring of pixels numbered in the nested order ``(*)``: the inverse of ``nested_from_ring``,
+    with the same arguments and errors.
 
     Examples:
         >>> ring_from_nested(torch.arange(4), 2).tolist()  # the four children of base face 0

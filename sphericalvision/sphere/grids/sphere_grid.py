@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from sphericalvision.core import ArgumentError, ShapeError, check_tensor, check_type
 from sphericalvision.geometry import bilinear_sample
 
-__all__ = ["MAX_CELLS", "GridModule", "SphereGrid", "check_cells", "check_positive", "check_values"]
+__all__ = ["MAX_CELLS", "GridModule", "SphereGrid", "check_cells", "check_values"]
 
 MAX_CELLS = 2**27
 """The largest grid: a panorama of 8192 x 16384 pixels, whose directions take 1.5 GB in float32."""
@@ -31,17 +31,6 @@ def check_cells(count: int, **sizes: int) -> None:
             f"{', '.join(sizes)}: expected a grid of {MAX_CELLS:,} values at most (8192 x 16384), got {numbers}, "
             f"which makes {count:,}; take a smaller one"
         )
-
-
-def check_positive(**sizes: int) -> None:
-    """Raise ``ArgumentError`` unless every size is a whole number of 1 or more.
-
-    Examples:
-        >>> check_positive(height=4, width=8)
-    """
-    for name, size in sizes.items():
-        if isinstance(size, bool) or not isinstance(size, int) or size < 1:
-            raise ArgumentError(f"{name}: expected a positive number of pixels, got {size!r}")
 
 
 def check_values(values: Shaped[Tensor, " ..."], shape: Sequence[int]) -> None:

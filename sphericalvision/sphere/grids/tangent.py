@@ -9,12 +9,12 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from sphericalvision.cameras import PinholeCamera
-from sphericalvision.core import ArgumentError, check_last_dim, full_precision
+from sphericalvision.core import ArgumentError, check_counts, check_last_dim, full_precision
 from sphericalvision.geometry.directions import check_directions, from_components, moderate_lengths
 from sphericalvision.icosphere import icosphere_faces, icosphere_vertices, locate, num_icosphere_vertices
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels
-from sphericalvision.sphere.grids.sphere_grid import GridModule, check_cells, check_positive, check_values
+from sphericalvision.sphere.grids.sphere_grid import GridModule, check_cells, check_values
 
 __all__ = ["TangentImages", "solid_angles_in_triangle"]
 
@@ -63,7 +63,7 @@ class TangentImages(GridModule):
         device: torch.device | str | None = None,
     ) -> None:
         super().__init__()
-        check_positive(size=size)
+        check_counts(size=size)
         if margin < 0 or size - 1 <= 2 * margin:
             raise ArgumentError(
                 f"size: expected more than {1 + 2 * margin:g} pixels for a face and its margin of {margin:g} on either "

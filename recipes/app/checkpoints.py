@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import torch
 
-from sphericalvision.core import ArgumentError, FileFormatError
+from sphericalvision.core import ArgumentError, FileFormatError, first_line
 from sphericalvision.models import DepthNetwork
 from sphericalvision.models.weights.checkpoints import read_network
 
@@ -93,8 +93,7 @@ def read_checkpoint(key: str, path: Path, what: str, take: Callable[[dict[str, A
     except FileFormatError:
         raise
     except Exception as error:  # whatever a damaged file makes of itself
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise FileFormatError(
-            f"{key}: {path} is not {what}, or is damaged ({reason:.200}); give a .ckpt file from the checkpoints "
-            "folder of a training run"
+            f"{key}: {path} is not {what}, or is damaged ({first_line(error):.200}); give a .ckpt file from the "
+            "checkpoints folder of a training run"
         ) from error

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import torch
 
-from sphericalvision.core import ArgumentError, FileFormatError, check_file
+from sphericalvision.core import ArgumentError, FileFormatError, check_file, first_line
 from sphericalvision.models.depth_network import DepthNetwork
 from sphericalvision.models.weights.files import load_weights
 from sphericalvision.models.weights.filling import make_network
@@ -86,6 +86,6 @@ def read_network(source: str | Path | None = None, level: int | None = None) -> 
     except Exception as error:  # whatever a damaged file makes of itself
         raise FileFormatError(
             f"{path}: is not a checkpoint of sphericalvision-train, or is damaged "
-            f"({(str(error).splitlines() or [type(error).__name__])[0]:.200}). Give a .ckpt or .safetensors file from "
-            "the checkpoints folder of a training run."
+            f"({first_line(error):.200}). Give a .ckpt or .safetensors file from the "
+            "checkpoints folder of a training run."
         ) from error

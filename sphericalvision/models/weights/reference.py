@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from sphericalvision.core import FileFormatError, check_file
+from sphericalvision.core import FileFormatError, check_file, first_line
 from sphericalvision.models.icosweepnet import IcoSweepNet
 from sphericalvision.models.weights.filling import load_state
 
@@ -72,8 +72,9 @@ def load_reference_checkpoint(
     try:
         checkpoint = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # whatever a damaged file makes of itself
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise FileFormatError(f"{path}: not a checkpoint of tensors and plain values: {reason}") from error
+        raise FileFormatError(
+            f"{path}: not a checkpoint of tensors and plain values: {first_line(error)}"
+        ) from error
     if not isinstance(checkpoint, Mapping) or not isinstance(checkpoint.get("state_dict"), Mapping):
         content = (
             ", ".join(map(str, list(checkpoint)[:4])) if isinstance(checkpoint, Mapping) else "no dictionary"

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from sphericalvision.core import FileFormatError, check_file
+from sphericalvision.core import FileFormatError, check_file, first_line
 from sphericalvision.models.romnistereo import PYRAMID, RADIUS, RomniStereo
 from sphericalvision.models.weights.filling import load_state
 
@@ -110,9 +110,8 @@ def load_romnistereo_checkpoint(
         options = {**vars(options), **options} if isinstance(options, OrderedDict) else dict(options)
         state = {str(name).removeprefix("module."): tensor for name, tensor in state.items()}
     except Exception as error:  # whatever a damaged file makes of itself
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise FileFormatError(
-            f"{path}: not a checkpoint of RomniStereo (net_state_dict, net_opts): {reason:.200}; "
+            f"{path}: not a checkpoint of RomniStereo (net_state_dict, net_opts): {first_line(error):.200}; "
             "a file of torch before 1.6 has to be saved again by a newer one"
         ) from error
     for name, value in BUILT_IN.items():

@@ -49,13 +49,7 @@ def crown_avg_pool2d(crown: Crown, stride: int = 2) -> Crown:
 def crown_max_pool2d(crown: Crown, stride: int = 2) -> Crown:
     """Take the largest of each kept place and its six hexagonal neighbours inside the rectangle.
 
-    Args:
-        crown: rectangles ``(B, 5, C, h, w)``.
-        stride: 1, or 2 to keep the vertices of the next coarser level.
-
-    Raises:
-        ShapeError: if the crown is no crown without hypotheses.
-        ArgumentError: if the stride is neither 1 nor 2, or 2 at level 0.
+    Arguments and errors are those of ``crown_avg_pool2d``.
 
     Examples:
         >>> import torch

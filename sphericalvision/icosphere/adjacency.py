@@ -50,7 +50,7 @@ def icosphere_neighbors(level: int, device: torch.device | str | None = None) ->
         tensor([ 1,  9,  7,  5,  3, -1])
     """
     faces = icosphere_faces(level, device)
-    around = _half_edges_around(faces, num_icosphere_vertices(level))
+    around = _half_edges_around(faces)
     ends = faces.roll(-1, 1).flatten()
     return torch.where(around < 0, -1, ends[around])
 
@@ -64,8 +64,7 @@ def icosphere_vertex_faces(level: int, device: torch.device | str | None = None)
         >>> icosphere_vertex_faces(0)[0]  # the north pole
         tensor([16, 12,  8,  4,  0, -1])
     """
-    faces = icosphere_faces(level, device)
-    around = _half_edges_around(faces, num_icosphere_vertices(level))
+    around = _half_edges_around(icosphere_faces(level, device))
     return torch.where(around < 0, -1, around // 3)
 
 
@@ -84,8 +83,9 @@ def icosphere_face_neighbors(level: int, device: torch.device | str | None = Non
     return (twin // 3).view(-1, 3)
 
 
-def _half_edges_around(faces: Tensor, count: int) -> Tensor:
-    """Return the half-edges that leave each of ``count`` vertices, counter-clockwise, ``(V, 6)`` with -1 last."""
+def _half_edges_around(faces: Tensor) -> Tensor:
+    """Return the half-edges that leave each vertex, counter-clockwise, ``(V, 6)`` with -1 last."""
+    count = len(faces) // 2 + 2  # of vertices, by Euler's formula
     # Half-edge (v, a) of the triangle (v, a, b) is followed by (v, b), which belongs to the next triangle around v.
     center = faces.flatten()
     leaving, arriving = faces.roll(-1, 1).flatten(), faces.roll(-2, 1).flatten()

@@ -59,7 +59,18 @@ def equirectangular_pad(
     return images
 
 
-class EquirectangularPad2d(nn.Module):
+class _Pad2d(nn.Module):
+    """Padding by a width for all sides or one a side."""
+
+    def __init__(self, padding: Padding) -> None:
+        super().__init__()
+        self.padding = four_sides(padding)
+
+    def extra_repr(self) -> str:
+        return str(self.padding)
+
+
+class EquirectangularPad2d(_Pad2d):
     """Padding of panoramas across the seam and over the poles; see ``equirectangular_pad``.
 
     Examples:
@@ -68,18 +79,11 @@ class EquirectangularPad2d(nn.Module):
         torch.Size([1, 8, 16, 32])
     """
 
-    def __init__(self, padding: Padding) -> None:
-        super().__init__()
-        self.padding = four_sides(padding)
-
     def forward(self, images: Shaped[Tensor, "*batch H W"]) -> Shaped[Tensor, "*batch H_out W_out"]:
         return equirectangular_pad(images, self.padding)
 
-    def extra_repr(self) -> str:
-        return str(self.padding)
 
-
-class CubePad2d(nn.Module):
+class CubePad2d(_Pad2d):
     """Padding of cube maps by the faces across their edges; see ``cube_pad``.
 
     Examples:
@@ -88,12 +92,5 @@ class CubePad2d(nn.Module):
         torch.Size([6, 8, 16, 16])
     """
 
-    def __init__(self, padding: Padding) -> None:
-        super().__init__()
-        self.padding = four_sides(padding)
-
     def forward(self, faces: Shaped[Tensor, "*batch S S"]) -> Shaped[Tensor, "*batch H_out W_out"]:
         return cube_pad(faces, self.padding)
-
-    def extra_repr(self) -> str:
-        return str(self.padding)

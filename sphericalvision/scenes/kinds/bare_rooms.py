@@ -28,9 +28,7 @@ def random_bare_room(generator: torch.Generator, clear_radius: float = 0.6) -> S
     if opening is not None:
         (rooms.add_door if palette.chance(0.5) else rooms.add_window)(room, *opening)
     rooms.furnish(room, palette.integer(1, 4))
-    return palette.scene(
-        room.parts,
-        room.lamps,
+    return room.scene(
         ambient=palette.uniform(0.1, 0.18) * torch.ones(3),
         background=DAYLIGHT * palette.uniform(0.5, 1.2),
     )

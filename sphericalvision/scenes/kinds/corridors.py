@@ -35,9 +35,7 @@ def random_corridor(generator: torch.Generator, clear_radius: float = 0.6) -> Sc
     _doors(corridor)
     _lamps(corridor)
     rooms.fill(corridor, palette.integer(1, 5))
-    return palette.scene(
-        corridor.parts,
-        corridor.lamps,
+    return corridor.scene(
         ambient=palette.uniform(0.08, 0.16)
         * torch.tensor([1.0, palette.uniform(0.9, 1.0), palette.uniform(0.8, 1)]),
         background=DAYLIGHT * palette.uniform(0.5, 1.2),

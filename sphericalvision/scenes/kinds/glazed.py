@@ -40,9 +40,7 @@ def random_glazed_room(generator: torch.Generator, clear_radius: float = 0.6) ->
     if palette.chance(0.7):
         _outside(room)
     rooms.fill(room, palette.integer(3, 14))
-    return palette.scene(
-        room.parts,
-        room.lamps,
+    return room.scene(
         ambient=palette.uniform(0.06, 0.16) * torch.ones(3),
         background=DAYLIGHT * palette.log_uniform(0.4, 3.0),
     )

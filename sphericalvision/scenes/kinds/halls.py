@@ -29,9 +29,7 @@ def random_hall(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
     for _ in range(palette.integer(4, 12)):
         _crates(hall)
     rooms.fill(hall, palette.integer(4, 10))
-    return palette.scene(
-        hall.parts,
-        hall.lamps,
+    return hall.scene(
         ambient=palette.uniform(0.08, 0.16) * torch.tensor([1.0, 1.0, palette.uniform(0.9, 1.1)]),
     )
 

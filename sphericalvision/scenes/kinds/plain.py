@@ -57,7 +57,7 @@ def random_plain(generator: torch.Generator, clear_radius: float = 0.6) -> Scene
         room.lamps = lamps_near(palette, clear_radius, room.floor - room.ceiling, False)
     ambient = torch.full((3,), palette.uniform(0.1, 0.5) if shaded else 1.0)
     background = torch.full((2, 3), palette.uniform(0.1, 1.0))
-    return palette.scene(room.parts, room.lamps, ambient, background)
+    return room.scene(ambient, background)
 
 
 def _mixed(one: Color, other: Color, share: float) -> Color:

@@ -34,9 +34,7 @@ def random_polished_room(generator: torch.Generator, clear_radius: float = 0.6) 
     if palette.chance(0.4):
         _wall_mirror(room, (side + 1) % 4)
     rooms.fill(room, palette.integer(6, 14), rug=False)
-    return palette.scene(
-        room.parts,
-        room.lamps,
+    return room.scene(
         ambient=palette.uniform(0.08, 0.16) * torch.ones(3),
         background=DAYLIGHT * palette.uniform(0.5, 1.2),
     )

@@ -96,6 +96,10 @@ class Room:
             (-math.pi / 2, x0, 0.0, z0, z1),
         ]
 
+    def scene(self, ambient: torch.Tensor, background: torch.Tensor | None = None) -> Scene:
+        """The scene of the room's parts and lamps; see ``Palette.scene``."""
+        return self.palette.scene(self.parts, self.lamps, ambient, background)
+
 
 def _from_floor_to_ceiling(part: Part, height: float) -> Part:
     return replace(
@@ -132,9 +136,7 @@ def random_room(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
         (add_door if kind == "door" else add_window)(room, side, opening)
     fill(room, palette.integer(8, 18))
     ambient = palette.uniform(0.06, 0.14)
-    return palette.scene(
-        room.parts,
-        room.lamps,
+    return room.scene(
         ambient=ambient * torch.tensor([1.0, palette.uniform(0.9, 1.0), palette.uniform(0.8, 1.1)]),
         background=DAYLIGHT * palette.uniform(0.5, 1.2),
     )

@@ -17,12 +17,10 @@ from annotated_types import Ge, MinLen
 from pydantic.dataclasses import dataclass
 from torch import Tensor
 
-from sphericalvision.cameras import Camera, CameraRig, EquirectangularCamera, read_trajectory
+from sphericalvision.cameras import Camera, CameraRig, EquirectangularCamera
 from sphericalvision.cameras.robot_frame import OPTICAL_FROM_ROS, read_pose
 from sphericalvision.cameras.trajectory import upright_turn
-from sphericalvision.capture import find_own_body
 from sphericalvision.capture.preparation.dark_surround import without_dark_surround
-from sphericalvision.capture.preparation.own_body import MOST
 from sphericalvision.capture.sources.frames import Selection, Source
 from sphericalvision.capture.sources.moving import NAME, Moving
 from sphericalvision.capture.sources.opening import (
@@ -236,6 +234,8 @@ class PosedCapture(Capture):
                     "rig of two cameras or more, with their poses"
                 )
             return super().open()
+        from sphericalvision.cameras import read_trajectory
+
         trajectory = read_trajectory(self.poses).turned(self.upwards)
         cameras: dict[str, Camera] = {NAME: EquirectangularCamera((512, 1024))}
         if self.calibration != PANORAMA:
@@ -292,6 +292,8 @@ def masked_by_itself(source: Source, folder: Path) -> CameraRig:
             "masks: auto reads the frames before the first is predicted, which live cameras do not allow; record "
             "some, predict with masks=auto, and give its masks: masks='.../masks/{camera}.png'"
         )
+    from sphericalvision.capture.preparation.own_body import MOST
+
     names = source.names(Selection())
     chosen = None if names is None else set(spread_evenly(names, MOST))
     frames = source.frames(Selection(), lambda name: chosen is None or name in chosen)
@@ -327,6 +329,8 @@ def visible_part(rig: CameraRig, frames: Iterable[Mapping[str, Tensor]]) -> Came
 
 def with_own_body_masked(rig: CameraRig, frames: Iterable[Mapping[str, Tensor]]) -> CameraRig:
     """The rig with masks of its own body, of which a line for each camera is printed."""
+    from sphericalvision.capture import find_own_body
+
     body = find_own_body(rig, frames)
     for line in body.described():
         print(line)

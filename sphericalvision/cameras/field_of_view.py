@@ -36,6 +36,13 @@ def directions_around_axis(angle: Tensor, azimuth: Tensor) -> Tensor:
     return torch.stack((flat * torch.cos(azimuth), flat * torch.sin(azimuth), torch.cos(angle)), dim=-1)
 
 
+def cap(limit: float, count: int, like: Camera) -> Float[Tensor, "n 3"]:
+    """Directions (count, 3) within ``limit`` of the axis, on a spiral of equal areas."""
+    step = torch.arange(count, dtype=torch.float64, device=like.device)
+    angle = 2 * torch.asin(math.sin(limit / 2) * ((step + 0.5) / count).sqrt())
+    return directions_around_axis(angle, step * (math.pi * (3 - math.sqrt(5))))
+
+
 @torch.no_grad()
 def visible_angle(camera: Camera, azimuth: Float[Tensor, "*azimuths"]) -> Float[Tensor, "*azimuths"]:
     """The widest angle from the axis (*) that ``camera`` sees in the half planes at ``azimuth`` (*), in radians.

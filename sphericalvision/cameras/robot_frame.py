@@ -10,7 +10,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.cameras.calibration.trajectories import read_trajectory
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, full_precision
 
@@ -57,6 +56,8 @@ def read_pose(path: str | Path, key: str) -> Float[Tensor, "4 4"]:
         ArgumentError: the file holds several.
         FileFormatError: it holds none.
     """
+    from sphericalvision.cameras.calibration.trajectories import read_trajectory
+
     poses = read_trajectory(path).world_from_camera
     if len(poses) != 1:
         raise ArgumentError(

@@ -24,7 +24,7 @@ from sphericalvision.geometry import invert_transform, transform_from_axis_angle
 from tests.laws.camera_laws import directions_seen
 from tests.laws.cameras import CAMERAS, CameraCase
 
-FORMATS = file_formats()
+FORMATS = list(file_formats())
 LENSES = [
     *CAMERAS,
     CameraCase(

@@ -12,7 +12,7 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options, joined
 from sphericalvision.cameras.calibration.formats import FileFormat, file_formats, known_formats
 from sphericalvision.cameras.calibration.keys import Keys, check_understood
-from sphericalvision.cameras.calibration.text_files import load, looks_structured, read_text
+from sphericalvision.cameras.calibration.text_files import STRUCTURED, load, looks_structured, read_text
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, check_type
 
@@ -146,7 +146,7 @@ def _contents(path: Path, options: Options) -> tuple[Path, Contents]:
 
 def _read(path: Path, options: Options) -> Contents:
     """What a file holds, by the first format that recognises it."""
-    for format in file_formats():
+    for format in file_formats() if path.suffix.lower() not in STRUCTURED else ():
         if format.recognizes_file and format.contents_of_file and format.recognizes_file(path):
             _check_unit(path, format, options)
             return format.contents_of_file(path, options).with_checked_centers(path)

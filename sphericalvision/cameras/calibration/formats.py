@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -96,9 +96,10 @@ def has_any(*keys: str) -> Callable[[dict[str, Any]], bool]:
     return lambda content: any(key in content for key in keys)
 
 
-def file_formats() -> list[FileFormat]:
-    """All formats, the package's own first."""
-    return sorted(FORMATS.all(), key=lambda format: format.name != "native")
+def file_formats() -> Iterator[FileFormat]:
+    """All formats, the package's own first; the others are imported once somebody asks for a second one."""
+    yield file_format("native")
+    yield from (format for format in FORMATS.all() if format.name != "native")
 
 
 def file_format(name: str) -> FileFormat:

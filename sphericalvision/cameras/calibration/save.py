@@ -58,7 +58,8 @@ def save_camera(camera: Camera, path: str | Path, format: str | None = None) -> 
         tensor([159.5000, 119.5000])
     """
     format = format or "native"
-    check_choice("format", format, camera_formats())
+    if format != "native":  # which needs none of the others
+        check_choice("format", format, camera_formats())
     check_type("camera", camera, Camera)
     check_single(camera)
     write = file_format(format).write_camera
@@ -87,7 +88,8 @@ def save_rig(rig: CameraRig, path: str | Path, format: str | None = None) -> Non
         ['cam1', 'cam2']
     """
     format = format or "native"
-    check_choice("format", format, rig_formats())
+    if format != "native":  # which needs none of the others
+        check_choice("format", format, rig_formats())
     check_type("rig", rig, CameraRig)
     check_single(rig)
     write = file_format(format).write_rig

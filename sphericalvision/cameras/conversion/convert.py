@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, check_single
-from sphericalvision.cameras.conversion.fit import ROUNDS, cap, fit_model
-from sphericalvision.cameras.field_of_view import directions_around_axis, visible_angle
+from sphericalvision.cameras.conversion.fit import ROUNDS, fit_model
+from sphericalvision.cameras.field_of_view import cap, directions_around_axis, visible_angle
 from sphericalvision.cameras.fitting import FittedModel, fit_choices, fitted_classes
 from sphericalvision.cameras.model_alone import project_by_model
 from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera

@@ -6,19 +6,18 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.field_of_view import directions_around_axis, focal_length_on_axis
+from sphericalvision.cameras.field_of_view import cap, focal_length_on_axis
 from sphericalvision.cameras.fitting import FittedModel, Samples
 from sphericalvision.cameras.model_alone import project_by_model
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import angle_from_axis
 from sphericalvision.geometry.least_squares import solve_least_squares
 
-__all__ = ["ROUNDS", "Fit", "cap", "fit_model"]
+__all__ = ["ROUNDS", "Fit", "fit_model"]
 
 ROUNDS = 6
 """Fits over a field of view that is narrowed to what the model reaches."""
@@ -94,10 +93,3 @@ def _samples(camera: Camera, limit: float, model: FittedModel) -> Samples:
         radius = (pixels - center).norm(dim=-1)[valid] / angle_from_axis(directions[valid])
         focal_length = radius.median().expand(2)
     return Samples(directions[valid], pixels[valid], center, focal_length)
-
-
-def cap(limit: float, count: int, like: Camera) -> Float[Tensor, "n 3"]:
-    """Directions (count, 3) within ``limit`` of the axis, on a spiral of equal areas."""
-    step = torch.arange(count, dtype=torch.float64, device=like.device)
-    angle = 2 * torch.asin(math.sin(limit / 2) * ((step + 0.5) / count).sqrt())
-    return directions_around_axis(angle, step * (math.pi * (3 - math.sqrt(5))))

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import check_single
-from sphericalvision.cameras.conversion.fit import cap
+from sphericalvision.cameras.field_of_view import cap
 from sphericalvision.cameras.masks import resized_mask
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.remapping.lookup import image_edges, pixels_a_radian

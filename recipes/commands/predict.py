@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import torch
 import yaml
@@ -26,18 +26,20 @@ from sphericalvision.cameras.robot_frame import placed, tilt_of
 from sphericalvision.capture import Predictor, align_rig
 from sphericalvision.capture.estimating import Behind, Estimate, estimate_frames
 from sphericalvision.capture.folder_record import RECORD, checksum
-from sphericalvision.capture.hint_files import HintFiles
 from sphericalvision.capture.outputs import Outputs, Settings
 from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.capture.sources.frames import Selection, Source
 from sphericalvision.capture.sources.moving import Moving
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.models.weights.checkpoints import weights_for
+from sphericalvision.models.weights.files import identity_of
 from sphericalvision.recipes.app.captures import AUTO, PosedCapture, cut_to_visible, masked_by_itself
 from sphericalvision.recipes.app.checks import flat
 from sphericalvision.recipes.app.cli import choose_device, console, print_config, say
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, OnlyWith, Positive, Share, Text
-from sphericalvision.recipes.evaluation.methods import identity_of
+
+if TYPE_CHECKING:
+    from sphericalvision.capture.hint_files import HintFiles
 
 __all__ = ["PredictConfig", "open_frames", "predict", "predictor_for"]
 
@@ -162,6 +164,8 @@ def hints_of(
         raise ArgumentError(
             "hint: files are for frames of a rig, not of windows with poses= or live cameras; leave hint out"
         )
+    from sphericalvision.capture.hint_files import HintFiles
+
     return HintFiles(config.hint, names, source.rig, placement, config.hint_quantity, config.hint_fit)
 
 

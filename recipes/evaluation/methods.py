@@ -6,7 +6,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -27,6 +26,7 @@ from sphericalvision.models import (
     load_weights,
     save_weights,
 )
+from sphericalvision.models.weights.files import identity_of
 from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.datamodules.entries import images_of
 from sphericalvision.recipes.evaluation.frames import Batch
@@ -51,7 +51,6 @@ __all__ = [
     "baselines",
     "check_names",
     "constants",
-    "identity_of",
     "make_method",
     "photographs_of",
     "sweeps",
@@ -255,14 +254,6 @@ def photographs_of(batch: dict[str, Any]) -> list[tuple[CameraRig, dict[str, Ten
     light = unsigned(batch["fisheye"]).clamp(0, 1) * batch["fisheye_seen"].unsqueeze(2)
     rigs = [batch["rig"].select(frame) for frame in range(len(light))]
     return [(rig, dict(zip(rig.names, images, strict=True))) for rig, images in zip(rigs, light, strict=True)]
-
-
-def identity_of(net: DepthNetwork) -> str:
-    """Characters that change with a network's class, hyper-parameters and weights."""
-    digest = sha256(repr((type(net).__name__, net.hyperparameters)).encode())
-    for key, tensor in net.state_dict().items():
-        digest.update(key.encode() + tensor.detach().cpu().contiguous().numpy().tobytes())
-    return digest.hexdigest()[:16]
 
 
 def baselines(net: DepthNetwork, level: int, data: SampleDataModule) -> list[Method]:

@@ -18,7 +18,7 @@ from sphericalvision.capture import Predictor, align_rig
 from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork, pretrained
-from sphericalvision.recipes.evaluation.methods import identity_of
+from sphericalvision.models.weights.files import identity_of
 from sphericalvision.recipes.evaluation.tracks import Track
 from sphericalvision.scenes import render_directions
 from sphericalvision.scenes.cache import ArrayCache

@@ -19,11 +19,11 @@ from sphericalvision.geometry.surfaces import distance_along
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models.candidate_refinement import ring_around
 from sphericalvision.models.logit_fusion import DISTRUST, HintedIndex, agreement
-from sphericalvision.sphere.resampling.views import Views
 from sphericalvision.sweep import DepthHint, index_from_inverse_depth
 
 if TYPE_CHECKING:
     from sphericalvision.capture.result import Depth
+    from sphericalvision.sphere.resampling.views import Views
 
 __all__ = ["FITS", "CarriedDepth", "Hint", "HintView", "warn_if_far"]
 
@@ -157,6 +157,8 @@ class Hint:
             fit: see the class.
             weight: of all pixels.
         """
+        from sphericalvision.sphere.resampling.views import Views
+
         check_type("views", views, Views, "Views(depth images, rig), or views(...).map(network)")
         check_choice("quantity", quantity, ("range", "z"))
         parts = []

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -22,11 +22,8 @@ from torch import Tensor
 from sphericalvision.capture import Depth, DepthImage
 from sphericalvision.capture.checks import OF_A_FRAME, PhotoConsistency
 from sphericalvision.capture.folder_record import FolderRecord
-from sphericalvision.capture.fusing import FusedCloud
 from sphericalvision.capture.points import SurfacePoints
-from sphericalvision.capture.rerun_log import RerunLog
-from sphericalvision.capture.splat import SplatScene
-from sphericalvision.capture.viewer import Timeline, near_end_of, save_viewer
+from sphericalvision.capture.result import near_end_of
 from sphericalvision.core import FileFormatError, check_choice
 from sphericalvision.io.files import atomic_write, write_bytes
 from sphericalvision.io.images import as_bytes, write_image
@@ -34,6 +31,12 @@ from sphericalvision.viz.color import colorize
 from sphericalvision.viz.figure import add_scale_bar
 from sphericalvision.viz.panorama import confidence_strength, depth_panorama, rgb_panorama
 from sphericalvision.viz.pointcloud import save_point_cloud
+
+if TYPE_CHECKING:
+    from sphericalvision.capture.fusing import FusedCloud
+    from sphericalvision.capture.rerun_log import RerunLog
+    from sphericalvision.capture.splat import SplatScene
+    from sphericalvision.capture.viewer import Timeline
 
 __all__ = ["OUTPUTS", "Outputs", "Panoramas", "Settings", "prefix_of", "save_frame"]
 
@@ -190,6 +193,8 @@ def save_frame(folder: Path, prefix: str, panoramas: Panoramas, settings: Settin
                 placed.export(temporary)
             written.append(path)
     if "viewer" in settings.outputs:
+        from sphericalvision.capture.viewer import save_viewer
+
         title = f"depth all around {prefix.rstrip('_')}".strip()
         path = save_viewer(
             folder / f"{prefix}viewer.html", panoramas.depth, settings.height, title, panoramas.near
@@ -329,6 +334,8 @@ class Outputs:
             self._write_shares()
         self.fused: FusedCloud | None = None
         if "fused" in settings.outputs and "fused" in self._record.frames and (folder / FUSED).is_file():
+            from sphericalvision.capture.fusing import FusedCloud
+
             self.fused = FusedCloud.load(folder / FUSED)
 
     def has(self, frame: str) -> bool:
@@ -388,11 +395,15 @@ class Outputs:
                     self._videos[output].write(frame, picture_of(panoramas))
             if "timeline" in self.settings.outputs:
                 if self._timeline is None:
+                    from sphericalvision.capture.viewer import Timeline
+
                     title = f"depth all around: {self.folder.name}"
                     self._timeline = Timeline(self.settings.height, title, self.near)
                 self._timeline.add(frame, depth)
             if "rerun" in self.settings.outputs:
                 if self._recording is None:
+                    from sphericalvision.capture.rerun_log import RerunLog
+
                     self._recording = RerunLog(self.folder / "depth.rrd", self.settings.height)
                 self._recording.add(self._number, depth)
             if "consistency" in self.settings.outputs:
@@ -401,6 +412,8 @@ class Outputs:
                     table.write(_rows_of({frame: self.consistency[frame]}))
             if "fused" in self.settings.outputs or (self.settings.posed and "splat" in self.settings.outputs):
                 if self.fused is None:
+                    from sphericalvision.capture.fusing import FusedCloud
+
                     step = math.sqrt(4 * math.pi / depth.index.numel()) * depth.min_depth
                     self.fused = FusedCloud(self.settings.voxel or CUBE * step)
                 points = depth.points(self.settings.min_confidence)
@@ -421,6 +434,8 @@ class Outputs:
         """Add a frame to the data set of all, or write its own."""
         posed, least = self.settings.posed, self.settings.min_confidence
         if self._splat is None:
+            from sphericalvision.capture.splat import SplatScene
+
             self._splat = SplatScene(self.folder / "splat", least)
         if not posed:
             self._splat.folder = self.folder / f"{prefix_of(frame)}splat"

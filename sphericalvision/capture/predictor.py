@@ -34,7 +34,7 @@ from sphericalvision.capture.result import Depth
 from sphericalvision.core import ArgumentError, check_choice, check_type
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.icosphere.topology import check_level
-from sphericalvision.models import DepthNetwork, SemiGlobalSweep
+from sphericalvision.models import DepthNetwork
 from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.sphere.intake import as_colors, ordered_images
 from sphericalvision.sweep import DepthHint
@@ -158,6 +158,8 @@ class Predictor:
         self._channels, self._precision = channels, precision
         near = net.min_depth if self.min_depth is None else self.min_depth
         if method == "semi_global":  # one level coarser than the images
+            from sphericalvision.models import SemiGlobalSweep
+
             level = level or (net.level if net.images == "sphere" else SCENE_LEVEL - 1)
             net = SemiGlobalSweep(level, num_hypotheses or net.num_hypotheses, near, depth_coarsening=1)
         else:

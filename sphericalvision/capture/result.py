@@ -29,12 +29,14 @@ if TYPE_CHECKING:
 
     from sphericalvision.capture.points import SurfacePoints
 
-__all__ = ["Depth", "DepthImage"]
+__all__ = ["Depth", "DepthImage", "near_end_of"]
 
 STEPS = 15
 """From the nearest hypothesis to infinity, of which deviations are told."""
 LEAST_DEVIATION, MOST_DEVIATION = 0.05, 2.0
 """Of the index: for a confidence of 1, and what is added for one of 0."""
+SURE = 0.3
+"""Confidence from which depth counts for the scale of pictures."""
 
 
 class DepthImage(NamedTuple):
@@ -359,3 +361,21 @@ def panorama_rays(height: int, device: torch.device) -> Tensor:
 def _located(level: int, height: int, device: torch.device) -> tuple[Tensor, Tensor]:
     """Vertices and weights ``(P, 3)`` of a panorama's pixels on an icosphere."""
     return locate(panorama_rays(height, device), level)
+
+
+def near_end_of(depth: Depth) -> float:
+    """Return the red end of pictures of a frame, in metres: about the nearest that was seen and that is sure.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> from sphericalvision.scenes import make_scene, render_rig
+        >>> from sphericalvision.capture import Predictor
+        >>> rig = ring_rig(4, image_size=(64, 64))
+        >>> depth = Predictor(rig, method="semi_global", level=4, min_depth=0.1)(render_rig(make_scene("room", 1), rig))
+        >>> near_end_of(depth)
+        0.6
+    """
+    from sphericalvision.viz.color import near_end
+
+    sure = depth.seen & (depth.confidence > SURE)
+    return near_end(depth.depth.where(sure, math.nan), depth.min_depth)

@@ -21,14 +21,14 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.remapping.lookup import pixels_a_radian
-from sphericalvision.capture.result import Depth
+from sphericalvision.capture.result import Depth, near_end_of
 from sphericalvision.io.files import write_bytes
 from sphericalvision.io.images import as_bytes
 from sphericalvision.sweep import index_from_depth
-from sphericalvision.viz.color import colorize, depth_to_color, error_to_color, fade, near_end
+from sphericalvision.viz.color import colorize, depth_to_color, error_to_color, fade
 from sphericalvision.viz.panorama import confidence_strength, rgb_panorama
 
-__all__ = ["Timeline", "near_end_of", "save_viewer"]
+__all__ = ["Timeline", "save_viewer"]
 
 HERE = Path(__file__).parent
 MOST_POINTS, FEWEST_POINTS = 100_000, 20_000
@@ -41,24 +41,6 @@ MOST_ERROR = 10.0
 """Percent of N: the bright end of errors."""
 MOST_REACH = 3.0
 """Of a view from outside, in median distances: a sky is far away."""
-SURE = 0.3
-"""Confidence from which depth counts for the scale."""
-
-
-def near_end_of(depth: Depth) -> float:
-    """Return the red end of pictures of a frame, in metres: about the nearest that was seen and that is sure.
-
-    Examples:
-        >>> from sphericalvision.cameras import ring_rig
-        >>> from sphericalvision.scenes import make_scene, render_rig
-        >>> from sphericalvision.capture import Predictor
-        >>> rig = ring_rig(4, image_size=(64, 64))
-        >>> depth = Predictor(rig, method="semi_global", level=4, min_depth=0.1)(render_rig(make_scene("room", 1), rig))
-        >>> near_end_of(depth)
-        0.6
-    """
-    sure = depth.seen & (depth.confidence > SURE)
-    return near_end(depth.depth.where(sure, math.nan), depth.min_depth)
 
 
 def save_viewer(

@@ -18,10 +18,11 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep
+from sphericalvision.models.weights.files import identity_of
 from sphericalvision.recipes.datamodules.scenes import SceneDataModule
 from sphericalvision.recipes.evaluation import methods, track_frames
 from sphericalvision.recipes.evaluation.loop import Limit, errors_of_frame
-from sphericalvision.recipes.evaluation.methods import SCALE, Method, identity_of, make_method
+from sphericalvision.recipes.evaluation.methods import SCALE, Method, make_method
 from sphericalvision.recipes.evaluation.places import FrameTruth, PlaceErrors
 from sphericalvision.recipes.evaluation.records import Record
 from sphericalvision.recipes.evaluation.track_frames import Size, TrackFrame, TrackFrames, render_frame

@@ -12,12 +12,7 @@ from sphericalvision.models.depth_network import DepthNetwork
 from sphericalvision.models.weights.files import load_weights
 from sphericalvision.models.weights.filling import make_network
 from sphericalvision.models.weights.pretrained import STUDY, available_weights, pretrained
-from sphericalvision.models.weights.reference import load_reference_checkpoint
 from sphericalvision.models.weights.registry import network_class
-from sphericalvision.models.weights.romnistereo_checkpoint import (
-    is_romnistereo,
-    load_romnistereo_checkpoint,
-)
 
 __all__ = ["read_network", "weights_for"]
 
@@ -68,6 +63,12 @@ def read_network(source: str | Path | None = None, level: int | None = None) -> 
     if path.suffix == ".safetensors":
         return load_weights(path)
     if path.suffix in REFERENCE_SUFFIXES:
+        from sphericalvision.models.weights.reference import load_reference_checkpoint
+        from sphericalvision.models.weights.romnistereo_checkpoint import (
+            is_romnistereo,
+            load_romnistereo_checkpoint,
+        )
+
         return (load_romnistereo_checkpoint if is_romnistereo(path) else load_reference_checkpoint)(path)
     if path.suffix != ".ckpt":
         suffixes = ", ".join((".safetensors", ".ckpt", *REFERENCE_SUFFIXES))

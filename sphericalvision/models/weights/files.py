@@ -6,6 +6,7 @@ from __future__ import annotations
 import errno
 import json
 from collections.abc import Iterator
+from hashlib import sha256
 from pathlib import Path
 from typing import Literal
 
@@ -20,7 +21,7 @@ from sphericalvision.models.depth_network import DepthNetwork
 from sphericalvision.models.weights.filling import make_network
 from sphericalvision.models.weights.registry import network_class, network_name
 
-__all__ = ["load_weights", "save_weights"]
+__all__ = ["identity_of", "load_weights", "save_weights"]
 
 PREFIX = "sphericalvision-"
 """What the names of networks begin with in files."""
@@ -107,6 +108,14 @@ def _as_float32(stored: dict[str, Tensor], path: Path) -> dict[str, Tensor]:
 
 def _steps_shape(tensor: Tensor) -> tuple[int, ...]:
     return (*tensor.shape[:1], *[1] * (tensor.dim() - 1))
+
+
+def identity_of(net: DepthNetwork) -> str:
+    """Characters that change with a network's class, hyper-parameters and weights."""
+    digest = sha256(repr((type(net).__name__, net.hyperparameters)).encode())
+    for key, tensor in net.state_dict().items():
+        digest.update(key.encode() + tensor.detach().cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()[:16]
 
 
 def load_weights(path: str | Path) -> DepthNetwork:

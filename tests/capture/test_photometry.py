@@ -186,12 +186,12 @@ def test_normal_equations_are_those_of_all_rows_and_the_spread_is_the_jackknifes
     points, estimate = photometer._points, photometer.estimate(images)
     frames = [images[name][None] * photometer._inside[name] for name in rig.names]
     values = torch.stack([look(frame)[0, 0] for look, frame in zip(points.lookups, frames, strict=True)])
-    values = (values / points.share.clamp(min=0.5)).double().numpy()
-    used = points.usable.all(0).numpy() & (values > 0.04).all(0) & (values < 0.97).all(0)
-    basis = points.rows[0, 0].numpy()  # of the cameras 2 and 1: 1, minus and plus their falloffs
-    rows = np.stack((-basis[:, 0], basis[:, 0], *basis[:, 3:].T, *basis[:, 1:3].T), 1)[used]
+    values = (values / points.share.clamp(min=0.5))[:, points.columns[0]].double().numpy()
+    used = points.usable[0, 0, 0].numpy() & (values > 0.04).all(0) & (values < 0.97).all(0)
+    one, *falloffs = points.rows[0, 0].numpy()  # of the cameras 2 and 1: 1, minus and plus their falloffs
+    rows = np.stack((-one, one, *falloffs[2:], *falloffs[:2]), 1)[used]
     difference = np.log(values[1] / values[0])[used]
-    part = np.repeat(np.arange(12), len(used) // 12)[used]
+    part = points.parts[0].argmax(0).numpy()[used]
     like = torch.zeros((), dtype=torch.float64)
     hold = _held(2, 1, like).numpy() * len(rows) / 6
     found, scale = np.zeros(6), 0.3

@@ -10,8 +10,8 @@ Convention:
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import NamedTuple, TypeVar
 
 import torch
 import torch.nn.functional as F
@@ -39,6 +39,8 @@ __all__ = [
     "pixel_angles",
     "reduced_rig",
 ]
+
+Made = TypeVar("Made")
 
 _POINTS, _PARTS = 2000, 12
 """All around the rig; parts of the sphere, around the corners of an icosahedron."""
@@ -160,8 +162,21 @@ def _at_ends(
 
 def pixel_angles(rig: CameraRig) -> dict[str, Float[Tensor, "_ _"]]:
     """Return camera name -> angle ``(h, w)`` of each pixel from the optical axis, radians; pi where there is no ray."""
-    rays = {name: camera.unproject(camera.pixel_grid()).directions for name, camera in rig.cameras.items()}
-    return {name: angle_from_axis(directions).nan_to_num(math.pi) for name, directions in rays.items()}
+
+    def angles(name: str) -> Tensor:
+        camera = rig.cameras[name]
+        return angle_from_axis(camera.unproject(camera.pixel_grid()).directions).nan_to_num(math.pi)
+
+    return _of_cameras(rig, angles)
+
+
+def _of_cameras(rig: CameraRig, make: Callable[[str], Made]) -> dict[str, Made]:
+    """By name what is made of each camera, once of one that stands in several places, as in most rigs."""
+    made: dict[int, Made] = {}
+    for name, camera in rig.cameras.items():
+        if id(camera) not in made:
+            made[id(camera)] = make(name)
+    return {name: made[id(camera)] for name, camera in rig.cameras.items()}
 
 
 def calibrate_photometry(
@@ -227,12 +242,17 @@ class Photometer:
             for (name, camera), small in zip(rig.cameras.items(), self._small.cameras.values(), strict=True)
         }
         fine = rig.resized(finer)
-        self._inside, edges = {}, []
-        for name, camera in fine.cameras.items():
-            directions, inside = camera.unproject(camera.pixel_grid())
-            edges.append(angle_from_axis(directions).where(inside, 0.0).amax())
-            self._inside[name] = resized_mask(inside, self._small.cameras[name].image_size)
-        self._edge = torch.stack(edges)
+
+        def view(
+            name: str,
+        ) -> tuple[Tensor, Tensor]:  # pixels that are seen as a whole, and the largest angle
+            directions, inside = fine.cameras[name].unproject(fine.cameras[name].pixel_grid())
+            edge = angle_from_axis(directions).where(inside, 0.0).amax()
+            return resized_mask(inside, self._small.cameras[name].image_size), edge
+
+        views = _of_cameras(rig, view)
+        self._inside = {name: inside for name, (inside, _) in views.items()}
+        self._edge = torch.stack([edge for _, edge in views.values()])
         radius = float(rig.radius)
         distances = [far * radius for far in _DISTANCES] if depth is None else [depth]
         self._points = _Points(
@@ -270,21 +290,15 @@ class Photometer:
 class _Points:
     """Where points at some inverse depths, 1/m, fall in the images, and how much light is lost there.
 
-    Everything has a fixed shape: what cannot be used weighs nothing, and no row is taken out, so that a device never
-    has to tell the host how many there are. Points stand by the twelve parts of the sphere, each filled up to the
-    same number, since sums over parts are wanted as well.
+    Of each two cameras there are the points that both may see, filled up to the same number. After that everything has
+    a fixed shape: what the images cannot tell weighs nothing, and no row is taken out, so that a device never has to
+    tell the host how many there are.
     """
 
     def __init__(
         self, rig: CameraRig, inside: Mapping[str, Tensor], edge: Tensor, inverse_depths: list[float]
     ) -> None:
-        points = cap(math.pi, _POINTS, next(iter(rig.cameras.values()))).to(rig.world_from_camera)
-        parts = (points @ icosphere_vertices(0).to(points).mT).argmax(-1)
-        members = [(parts == part).nonzero()[:, 0] for part in range(_PARTS)]
-        most = max(map(len, members))
-        slots = torch.stack([F.pad(member, (0, most - len(member))) for member in members])
-        filled = torch.stack([torch.arange(most, device=points.device) < len(member) for member in members])
-        directions = points[slots.flatten()]
+        directions = cap(math.pi, _POINTS, next(iter(rig.cameras.values()))).to(rig.world_from_camera)
         depths = directions.new_tensor(inverse_depths)
         seen = rig.project_along(directions, depths)
         self.num_depths = len(inverse_depths)
@@ -302,7 +316,19 @@ class _Points:
             look(inside[name][None].float()) for look, name in zip(self.lookups, rig.names, strict=True)
         ]
         self.share = torch.stack(shares).flatten(1)
-        self.usable = (self.share > 0.99) & filled.flatten().repeat(self.num_depths)
+        usable = self.share > 0.99
+        # Of each two cameras that both see some point: their numbers, and which points these are.
+        both = (usable[:, None] & usable).any(-1)
+        self.one, self.other = both.tril(-1).nonzero().unbind(1)
+        if not len(self.one):  # a camera and itself, which differ by nothing
+            self.one = self.other = self.one.new_zeros(1)
+        shared = (usable[self.one] & usable[self.other]).unflatten(-1, (self.num_depths, -1))
+        anywhere = shared.any(1)
+        most = max(1, int(anywhere.sum(-1).max()))
+        self.columns = anywhere.byte().argsort(dim=-1, descending=True, stable=True)[:, :most]
+        self.usable = self._of_pairs(shared[:, None, None].flatten(-2))  # (D, pairs, 1, points)
+        parts = (directions @ icosphere_vertices(0).to(directions).mT).argmax(-1)
+        self.parts = F.one_hot(parts, _PARTS)[self.columns].mT.double()  # (pairs, parts, points)
         offsets = (rig.center - rig.positions)[:, None, None].to(directions)
         rays = directions + depths[:, None, None] * offsets
         angles = angle_from_axis(rays.flatten(1, 2) @ rig.world_from_camera[:, :3, :3])
@@ -310,17 +336,11 @@ class _Points:
         squared = (angles / edge[:, None]).clamp(max=1).square()
         squared = squared * torch.tensor(has_lens, device=squared.device)[:, None]
         # Double precision, because normal equations square the condition number.
-        basis = torch.stack((squared, squared.square()), -1).double().unflatten(1, (self.num_depths, -1))
-        # Of each two cameras that both see some point: their numbers, and the row of an equation in the difference of
-        # their exposures and the falloff of either, [1, -basis, basis].
-        both = (self.usable[:, None] & self.usable).any(-1)
-        self.one, self.other = both.tril(-1).nonzero().unbind(1)
-        if not len(self.one):  # a camera and itself, which differ by nothing
-            self.one = self.other = self.one.new_zeros(1)
-        ones = basis.new_ones(*basis.shape[:-1], 1)
-        rows = torch.cat((ones[self.one], -basis[self.one], basis[self.other]), -1)
-        self.rows = rows.movedim(0, 1).contiguous()  # (D, pairs, points, 5)
-        self.squares = (self.rows[..., :, None] * self.rows[..., None, :]).flatten(-2)
+        basis = torch.stack((squared, squared.square()), 1).double()
+        # The row of an equation in the difference of two exposures and the falloff of either, [1, -basis, basis].
+        one, other = (self._of_pairs(basis[numbers, None]) for numbers in (self.one, self.other))
+        self.rows = torch.cat((torch.ones_like(one[:, :, :1]), -one, other), 2)  # (D, pairs, 5, points)
+        self.squares = (self.rows[:, :, :, None] * self.rows[:, :, None]).flatten(2, 3)
 
     def compared(self, images: list[Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """What explains images ``(b, c, h, w)``, a camera each, at the inverse depth where they agree best.
@@ -333,38 +353,39 @@ class _Points:
         number, channels = len(images), images[0].shape[1]
         stacked = [look(frames) for look, frames in zip(self.lookups, images, strict=True)]
         values = torch.stack(stacked) / self.share[:, None, None].to(images[0]).clamp(min=0.5)
-        good = self.usable[:, None] & (values.amin(2) > _DARKEST) & (values.amax(2) < _BRIGHTEST)
+        good = (values.amin(2, keepdim=True) > _DARKEST) & (values.amax(2, keepdim=True) < _BRIGHTEST)
         logs = values.clamp(min=_DARKEST).log()
-        difference = self._by_depth((logs[self.one] - logs[self.other]).double())
-        used = self._by_depth((good[self.one] & good[self.other])[:, :, None].expand(-1, -1, channels, -1))
+        difference = self._of_pairs(logs[self.one] - logs[self.other]).double()
+        used = (good[self.one] & good[self.other]).expand(-1, -1, channels, -1)
+        used = self._of_pairs(used) & self.usable
         to_all = self._to_all(number, channels)
         size = to_all.shape[-1]
         count = used.sum((1, 2, 3))
         # Where nothing can be compared nothing is to be explained: the regularisation alone decides for zero.
         hold = _held(number, channels, difference) * (count.clamp(min=1) / size)[:, None, None]
-        unknown = difference.new_zeros(len(count), size)
-        scale = difference.new_full((len(count),), 0.3)
+        scale, rest = difference.new_full((len(count),), 0.3), difference
         for _ in range(_ROUNDS):
             # Cauchy's weights: points that one camera sees hidden, or mirrored, differ by what no lens explains.
-            relative = self._rest(difference, unknown, to_all) / scale.view(-1, 1, 1, 1)
-            weights = used / (1 + relative.square())
-            normal, target = self._normal(weights, difference, to_all, 1)
+            weights = used / (rest / scale.view(-1, 1, 1, 1)).square_().add_(1)
+            normal, target = self._normal(weights, weights * difference, to_all)
             mean = (weights.sum((1, 2, 3)) / count.clamp(min=1)).where(count > 0, 1.0)
             whole = normal[:, 0] + hold * mean[:, None, None]
-            unknown = solved(whole, target[:, 0])
-            rest = self._rest(difference, unknown, to_all).abs().where(used, math.nan)
+            rest = self._rest(difference, solved(whole, target[:, 0]), to_all)
             # The standard deviation of a normal distribution with this median of absolute values.
-            scale = (1.4826 * median_of_known(rest.flatten(1))).clamp(min=0.01)
+            scale = 1.4826 * median_of_known(rest.abs().where(used, math.nan).flatten(1))
+            scale = scale.clamp(min=0.01)
         residual = scale.where(count > 0, 0.0)
         best = residual.argmin()[None]
-        normal, target = self._normal(weights, difference, to_all, _PARTS)
-        whole, normal, target = (each.index_select(0, best)[0] for each in (whole, normal, target))
+        whole, weights, difference, used = (
+            each.index_select(0, best) for each in (whole, weights, difference, used)
+        )
+        normal, target = self._normal(weights, weights * difference, to_all, best)
         # Parts are as good as independent, which neighbouring points are not.
-        without = torch.cat((whole[None], whole - normal))
-        targets = torch.cat((target.sum(0)[None], target.sum(0) - target))
+        without = torch.cat((whole, whole - normal[0]))
+        targets = torch.cat((target[0].sum(0)[None], target[0].sum(0) - target[0]))
         answers = solved(without, targets).to(self.share)
         exposure, falloff = answers.split((number * channels, 2 * number), -1)
-        valid = used.index_select(0, best)[0].any(0).any(0).unflatten(0, (_PARTS, -1)).any(-1)
+        valid = (used[0].any(1)[:, None] & (self.parts > 0)).any(-1).any(0)
         return (
             exposure.unflatten(1, (number, channels)),
             falloff.unflatten(1, (number, 2)),
@@ -372,9 +393,10 @@ class _Points:
             residual.index_select(0, best)[0],
         )
 
-    def _by_depth(self, values: Tensor) -> Tensor:
-        """``(D, pairs, b * c, points)`` of ``(pairs, b, c, D * points)``."""
-        return values.flatten(1, 2).unflatten(-1, (self.num_depths, -1)).permute(2, 0, 1, 3).contiguous()
+    def _of_pairs(self, values: Tensor) -> Tensor:
+        """The points that both see ``(D, pairs, b * c, points)``, of ``(pairs, b, c, D * all points)``."""
+        by_depth = values.flatten(1, 2).unflatten(-1, (self.num_depths, -1)).permute(2, 0, 1, 3)
+        return by_depth.gather(-1, self.columns[:, None].expand(*by_depth.shape[:-1], -1))
 
     def _to_all(self, number: int, channels: int) -> Tensor:
         """``(pairs, c, 5, unknowns)``: which of all unknowns, and with which sign, a row's five values belong to.
@@ -391,23 +413,31 @@ class _Points:
         """The differences less what the unknowns ``(D, unknowns)`` explain of them."""
         own = torch.einsum("pcau,du->dpca", to_all, unknown)
         own = own.repeat(1, 1, difference.shape[2] // own.shape[2], 1)
-        return difference - own @ self.rows.mT
+        return difference - own @ self.rows
 
     def _normal(
-        self, weights: Tensor, difference: Tensor, to_all: Tensor, parts: int
+        self, weights: Tensor, weighted: Tensor, to_all: Tensor, depth: Tensor | None = None
     ) -> tuple[Tensor, Tensor]:
-        """Normal equations of so many parts: ``(D, parts, unknowns, unknowns)`` and ``(D, parts, unknowns)``."""
+        """Normal equations ``(D, parts, unknowns, unknowns)`` and ``(D, parts, unknowns)`` of weights and differences.
+
+        Of all points together, as one part; or, given the number of a depth ``(1,)`` that the weights are of, of the
+        parts of the sphere.
+        """
+        rows, squares = (
+            each if depth is None else each.index_select(0, depth) for each in (self.rows, self.squares)
+        )
 
         def sums(
             factors: Tensor, of: Tensor
         ) -> Tensor:  # (D, parts, pairs, c, values), over points and frames
-            grouped = factors.unflatten(-1, (parts, -1)).transpose(2, 3) @ of.unflatten(2, (parts, -1))
-            return grouped.unflatten(3, (-1, to_all.shape[1])).sum(3).transpose(1, 2)
+            grouped = factors.unflatten(2, (-1, to_all.shape[1])).sum(2)[:, :, None]
+            if depth is not None:
+                grouped = grouped * self.parts[:, :, None]
+            return (grouped.flatten(2, 3) @ of.mT).unflatten(2, (-1, to_all.shape[1])).transpose(1, 2)
 
-        squares, targets = sums(weights, self.squares), sums(weights * difference, self.rows)
-        squares = squares.unflatten(-1, (5, 5)) @ to_all
+        products = sums(weights, squares).unflatten(-1, (5, 5)) @ to_all
         flat = to_all.flatten(0, 2)
-        return flat.mT @ squares.flatten(2, 4), targets.flatten(2) @ flat
+        return flat.mT @ products.flatten(2, 4), sums(weighted, rows).flatten(2) @ flat
 
 
 def median_of_known(values: Float[Tensor, "rows number"]) -> Float[Tensor, " rows"]:

@@ -304,11 +304,11 @@ class WorldFrame:
         """The rig with the poses that its calibration has."""
         if not self.faults.pose_error:
             return self.true_rig
-        images = Draws.of(self.seed).images
-        for (
-            camera
-        ) in self.true_rig.cameras.values():  # blank: what is drawn for them comes first, whatever they show
-            self.faults.image(torch.zeros(3, *camera.image_size), camera, images)
+        images = self.draws.images  # what is drawn for images comes first
+        if "taken" not in self.__dict__:  # blank ones, since what is drawn does not depend on what they show
+            images = Draws.of(self.seed).images
+            for camera in self.true_rig.cameras.values():
+                self.faults.image(torch.zeros(3, *camera.image_size), camera, images)
         return turned_poses(self.true_rig, self.faults.pose_error, images)
 
     @cached_property

@@ -35,7 +35,7 @@ def test_a_seed_is_a_sample_with_a_cache_and_without(tmp_path):
         first, second = kept[index], kept[index]
         assert equal(first, second)
         assert equal(first, plain[index])
-        assert torch.equal(first["rig"].world_from_camera, plain[index]["rig"].world_from_camera)
+        assert torch.equal(second["rig"].world_from_camera, plain[index]["rig"].world_from_camera)
     assert equal(random_rigs(1, 9)[0], plain[2])
     assert random_rigs().world.fingerprint() != random_rigs(values=UNDISTURBED).world.fingerprint()
 

@@ -43,7 +43,7 @@ __all__ = [
 
 #: Packets looked at together, and pairs intersected together, on the CPU: few enough for a core's cache, many enough
 #: for the time that an operation takes to start. Other devices take many more at once.
-CHUNK, PAIRS = 192, 64
+CHUNK, PAIRS = 384, 128
 #: Added to components of directions, so that none is zero.
 TINY = 1e-20
 #: Turns the least miss into a distance that no hit has.

@@ -94,6 +94,33 @@ def radiance(scene: Scene, table: SurfaceTable, rays: RayPackets, spread: Tensor
     """
     distance, hit = first_hits(scene.primitives, rays)
     met = hit >= 0
+    if bool(met.all()):
+        return _surfaces(scene, table, rays, spread, distance, hit, bounces)
+    sky, ground = (~met).any(1).nonzero()[:, 0], met.any(1).nonzero()[:, 0]
+    light = torch.empty_like(rays.direction)
+    above = rays.direction.index_select(1, sky)
+    light.index_copy_(1, sky, sky_light(scene.background, scene.clouds, above))
+    if len(ground):
+        origin, direction, behind = (
+            each if each.shape[1] == 1 else each.index_select(1, ground) for each in (*rays, light)
+        )
+        spread, distance, hit = (each.index_select(0, ground) for each in (spread, distance, hit))
+        seen = _surfaces(scene, table, RayPackets(origin, direction), spread, distance, hit, bounces)
+        light.index_copy_(1, ground, torch.where(hit >= 0, seen, behind))
+    return light
+
+
+def _surfaces(
+    scene: Scene,
+    table: SurfaceTable,
+    rays: RayPackets,
+    spread: Tensor,
+    distance: Tensor,
+    hit: Tensor,
+    bounces: int,
+) -> Tensor:
+    """`radiance` of what rays hit, from `first_hits`; anything where they hit nothing."""
+    met = hit >= 0
     distance, row = distance.masked_fill_(~met, 1), hit.clamp(min=0)
     position = torch.addcmul(rays.origin, rays.direction, distance)
     direction, rows = rays.direction.flatten(1), row.flatten()
@@ -110,14 +137,17 @@ def radiance(scene: Scene, table: SurfaceTable, rays: RayPackets, spread: Tensor
             seen = radiance(scene, table, _reflected(spot, ray, outward), wider, bounces - 1)
             share = table.mirror.index_select(0, rows[glossy])
             mixed = torch.lerp(light.index_select(1, glossy), seen.flatten(1)[:, : len(glossy)], share)
-            light.index_copy_(1, glossy, mixed)
+            _write(light, glossy, mixed)
     light = light.view_as(position)
     if scene.fog:
         haze = sky_light(scene.background, scene.clouds[:0], rays.direction)
         light = torch.lerp(haze, light, distance.mul(-scene.fog).exp_())
-    if bool(met.all()):
-        return light
-    return torch.where(met, light, sky_light(scene.background, scene.clouds, rays.direction))
+    return light
+
+
+def _write(columns: Tensor, places: Tensor, values: Tensor) -> None:
+    """Write values ``(c, m)`` at places ``(m,)`` of ``(c, n)``; on a CPU in a third of index_copy_'s time."""
+    columns.scatter_(1, places.expand_as(values), values)
 
 
 def _reflected(position: Tensor, ray: Tensor, normal: Tensor) -> RayPackets:
@@ -161,7 +191,7 @@ def irradiance(scene: Scene, points: SurfaceSamples) -> Tensor:
         sorted_points = (
             x.flatten(-2).index_select(-1, number).view(*x.shape[:-2], -1, SORTED) for x in points
         )
-        light.flatten(1).index_copy_(1, number, _lit(scene, SurfaceSamples(*sorted_points)).flatten(1))
+        _write(light.flatten(1), number, _lit(scene, SurfaceSamples(*sorted_points)).flatten(1))
     return light
 
 
@@ -232,8 +262,8 @@ def normals_and_uv(
             outward /= half
             x, y, z = ((axes[k].index_select(1, which) * outward).sum(0) for k in (0, 1, 2))
             length = (x * x).addcmul_(y, y).addcmul_(z, z).rsqrt_()
-            normal.index_copy_(1, on, torch.stack([x, y, z]).mul_(length))
-            uv.index_copy_(1, on, along)
+            _write(normal, on, torch.stack([x, y, z]).mul_(length))
+            _write(uv, on, along)
     away = (normal * direction).sum(0) > 0
     normal.mul_(1 - 2 * away.to(normal.dtype))
     return normal, uv, away.logical_and_(~flat.index_select(0, row))

@@ -13,11 +13,13 @@ from typing import Any
 
 from hydra._internal import config_loader_impl
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
-from hydra._internal.core_plugins.importlib_resources_config_source import ImportlibResourcesConfigSource
-from hydra._internal.core_plugins.structured_config_source import StructuredConfigSource
 from hydra._internal.defaults_list import DefaultsList, Overrides
+from hydra._internal.sources_registry import SourcesRegistry
+from hydra.core.plugins import Plugins
 
-load_config = ImportlibResourcesConfigSource.load_config
+Plugins.instance()  # which defines the classes of sources anew
+PACKAGES, REGISTERED = map(SourcesRegistry.instance().resolve, ("pkg", "structured"))
+load_config = PACKAGES.load_config
 create_defaults_list = config_loader_impl.create_defaults_list
 compose_defaults = ConfigLoaderImpl._compose_config_from_defaults_list
 cache: dict[str, bytes] = {}
@@ -60,7 +62,7 @@ def _composed(loader: ConfigLoaderImpl, defaults: list[Any], repo: Any) -> Any:
 
 def install() -> None:
     """Have Hydra keep what it composes."""
-    ImportlibResourcesConfigSource.load_config = _load_config
+    PACKAGES.load_config = _load_config
     config_loader_impl.create_defaults_list = _defaults_list
     ConfigLoaderImpl._compose_config_from_defaults_list = _composed
-    StructuredConfigSource.__deepcopy__ = lambda source, memo: source  # it holds all that plugins registered
+    REGISTERED.__deepcopy__ = lambda source, memo: source  # it holds all that plugins registered

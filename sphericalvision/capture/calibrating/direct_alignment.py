@@ -13,7 +13,7 @@ Convention:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from itertools import combinations
 from typing import NamedTuple
 
@@ -159,7 +159,7 @@ class _Samples(NamedTuple):
     valid: Tensor
     """``(F, V)``"""
     by_turn: Tensor
-    """``(F, c, V, 3)`` by its rotation vector in the world."""
+    """``(3, F, c, V)`` by its rotation vector in the world."""
     by_depth: Tensor
     """``(F, c, V)`` by the parallax, radius over depth."""
 
@@ -192,14 +192,14 @@ class _View:
         self.images = band / (contrast + _CONTRAST**2).sqrt()
 
     def look(self, rays: Tensor) -> tuple[Tensor, Tensor]:
-        """Values ``(F, c, V)`` and validity ``(F, V)`` of rays ``(F, V, 3)`` in the camera's frame."""
+        """Values ``(F, c, k, V)`` of rays ``(F, k, V, 3)`` in the camera's frame, validity ``(F, V)`` of the first."""
         pixels, valid = self.camera.project(rays)
         height, width = self.images.shape[-2:]
         size = pixels.new_tensor([width, height])
-        places = ((pixels + 0.5) / self.shrink * 2 / size - 1).unsqueeze(1)
-        values = F.grid_sample(self.images, places, align_corners=False).squeeze(2)
-        shown = F.grid_sample(self.shown.expand(len(rays), -1, -1, -1), places, align_corners=False)
-        return values, valid & (shown[:, 0, 0] > 0.99)
+        places = (pixels + 0.5) / self.shrink * 2 / size - 1
+        values = F.grid_sample(self.images, places, align_corners=False)
+        shown = F.grid_sample(self.shown.expand(len(rays), -1, -1, -1), places[:, :1], align_corners=False)
+        return values, valid[:, 0] & (shown[:, 0, 0] > 0.99)
 
 
 class _Problem:
@@ -227,8 +227,8 @@ class _Problem:
         agreements = []
         for iteration in range(iterations + 1):
             samples = [self._samples(place, turns, parallax) for place in range(len(self.views))]
-            agreements.append(self._agreement(samples))
-            step, deeper, spread = self._step(samples, turns, parallax - start)
+            step, deeper, spread, agreement = self._step(samples, turns, parallax - start)
+            agreements.append(agreement)
             if iteration < iterations:
                 turns, parallax = turns + step, (parallax + deeper).clamp(0, _NEAREST)
         return turns, spread, (agreements[0], agreements[-1])
@@ -239,59 +239,49 @@ class _Problem:
         length = rays.norm(dim=-1, keepdim=True)
         rays = rays / length
         world_from_camera = (rotation_from_axis_angle(turns)[place] @ self.rotations[place]).to(rays)
-        values, valid = view.look(rays @ world_from_camera)
         small = 0.3 * view.pixel
-        by_turn, by_depth = (
-            torch.zeros_like(values).unsqueeze(-1).repeat(1, 1, 1, 3),
-            torch.zeros_like(values),
-        )
-        for tangent, across in _tangents(rays):
-            slopes = [view.look((rays + sign * small * tangent) @ world_from_camera)[0] for sign in (1, -1)]
-            slope = (slopes[0] - slopes[1]) / (2 * small)
-            by_turn += slope.unsqueeze(-1) * across.unsqueeze(1)
-            by_depth += slope * ((tangent @ offset) / length.squeeze(-1)).unsqueeze(1)
-        return _Samples(values, valid, by_turn, by_depth)
+        tangents = _tangents(rays)
+        moved = small * torch.stack((tangents, -tangents), 2).flatten(1, 2)  # (F, 4, V, 3)
+        looks = torch.cat((rays.unsqueeze(1), rays.unsqueeze(1) + moved), 1) @ world_from_camera
+        values, valid = view.look(looks)
+        slopes = (values[:, :, 1::2] - values[:, :, 2::2]) / (2 * small)  # (F, c, 2, V)
+        across = torch.linalg.cross(tangents, rays.unsqueeze(1), dim=-1)  # what a turn moves: turn @ across
+        by_turn = (slopes * across.movedim(-1, 0).unsqueeze(2)).sum(3)
+        by_depth = (slopes * (tangents @ offset / length.mT).unsqueeze(1)).sum(2)
+        return _Samples(values[:, :, 0], valid, by_turn, by_depth)
 
-    def _pairs(self, samples: list[_Samples]) -> Iterator[tuple[int, int, Tensor, Tensor, Tensor]]:
-        """Places of two cameras, their difference ``(F, c, V)``, its square and its weight ``(F, V)``."""
+    def _step(
+        self, samples: list[_Samples], turns: Tensor, moved: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, float]:
+        """Changes of turns and parallaxes, the standard deviation of each camera's turn, and how well images agree."""
+        size = 3 * len(samples)
+        curve = turns.new_zeros(size, size)
+        slopes, mixed = (self.trust.new_zeros(size, *self.trust.shape) for _ in range(2))
+        depth_curve, depth_slope = torch.zeros_like(self.trust), torch.zeros_like(self.trust)
+        typical, agreed, compared = [], 0.0, 1e-9
         for one, other in combinations(range(len(samples)), 2):
             difference = samples[one].values - samples[other].values
             square = difference.square().sum(1)
             both = self.trust * (samples[one].valid & samples[other].valid)
-            yield one, other, difference, square, both
-
-    def _agreement(self, samples: list[_Samples]) -> float:
-        pairs = [
-            (float((both / (1 + square)).sum()), float(both.sum()))
-            for *_, square, both in self._pairs(samples)
-        ]
-        return sum(pair[0] for pair in pairs) / max(sum(pair[1] for pair in pairs), 1e-9)
-
-    def _step(self, samples: list[_Samples], turns: Tensor, moved: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Changes of turns and parallaxes, and the standard deviation of each camera's turn."""
-        size = 3 * len(samples)
-        curve = turns.new_zeros(size, size)
-        slopes, mixed = (self.trust.new_zeros(*self.trust.shape, size) for _ in range(2))
-        depth_curve, depth_slope = torch.zeros_like(self.trust), torch.zeros_like(self.trust)
-        typical = []
-        for one, other, difference, square, both in self._pairs(samples):
+            agreed += float((both / (1 + square)).sum())
+            compared += float(both.sum())
             weight = both / (1 + square).square()
-            columns = torch.cat((samples[one].by_turn, -samples[other].by_turn), -1)
-            weighted = columns * weight[:, None, :, None]
+            columns = torch.cat((samples[one].by_turn, -samples[other].by_turn))  # (6, F, c, V)
+            weighted = columns * weight.unsqueeze(1)
             places = torch.tensor([3 * camera + axis for camera in (one, other) for axis in range(3)])
             places = places.to(curve.device)
-            curve[places[:, None], places] += torch.einsum("fcva,fcvb->ab", weighted, columns).double()
-            slopes[..., places] += torch.einsum("fcva,fcv->fva", weighted, difference)
+            curve[places[:, None], places] += (weighted.flatten(1) @ columns.flatten(1).mT).double()
+            slopes[places] += (weighted * difference).sum(2)
             by_depth = samples[one].by_depth - samples[other].by_depth
-            mixed[..., places] += torch.einsum("fcva,fcv->fva", weighted, by_depth)
+            mixed[places] += (weighted * by_depth).sum(2)
             depth_curve += (by_depth.square().sum(1)) * weight
             depth_slope += (by_depth * difference).sum(1) * weight
             typical.append(square[both > 0])
         hold = _HOLD * depth_curve.mean() + 1e-9
         depth_curve, depth_slope = depth_curve + hold, depth_slope + hold * moved
-        curve -= torch.einsum("fva,fvb,fv->ab", mixed, mixed, 1 / depth_curve).double()
-        slopes -= mixed * (depth_slope / depth_curve).unsqueeze(-1)
-        parts = slopes.new_zeros(_PARTS, size).index_add(0, self.parts, slopes.sum(0)).double()
+        curve -= ((mixed / depth_curve).flatten(1) @ mixed.flatten(1).mT).double()
+        slopes -= mixed * (depth_slope / depth_curve)
+        parts = slopes.new_zeros(size, _PARTS).index_add(1, self.parts, slopes.sum(1)).double().mT
 
         at, eye = turns.flatten(), torch.eye(size, dtype=torch.float64, device=turns.device)
         squares = torch.cat(typical)
@@ -302,21 +292,20 @@ class _Problem:
         gauge = mean.mT @ mean * float(curve.diagonal().mean().clamp(min=1e-9)) * size
         answers = torch.linalg.inv(curve + held + gauge)
         step = -answers @ (parts.sum(0) + held @ at + gauge @ at)
-        deeper = -(depth_slope + mixed @ step.to(mixed)) / depth_curve
+        deeper = -(depth_slope + torch.tensordot(step.to(mixed), mixed, 1)) / depth_curve
         # Parts of the sphere are as good as independent, which neighbouring directions are not.
         variance = ((parts - parts.mean(0)) @ answers).square().sum(
             0
         ) + _STIFFNESS * noise * answers.diagonal()
-        return step.view_as(turns), deeper, variance.view_as(turns).sum(-1).sqrt()
+        return step.view_as(turns), deeper, variance.view_as(turns).sum(-1).sqrt(), agreed / compared
 
 
-def _tangents(rays: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
-    """Two unit tangents of rays ``(F, V, 3)``, each with what a camera's turn moves along it: ``turn @ across``."""
+def _tangents(rays: Tensor) -> Tensor:
+    """Two unit tangents ``(F, 2, V, 3)`` of rays ``(F, V, 3)``."""
     axis = torch.zeros_like(rays)
     axis.scatter_(-1, rays.abs().argmin(-1, keepdim=True), 1.0)
     first = F.normalize(torch.linalg.cross(axis, rays, dim=-1), dim=-1)
-    for tangent in (first, torch.linalg.cross(rays, first, dim=-1)):
-        yield tangent, torch.linalg.cross(tangent, rays, dim=-1)
+    return torch.stack((first, torch.linalg.cross(rays, first, dim=-1)), 1)
 
 
 def _check(

@@ -288,8 +288,11 @@ def arguments_of(camera: Camera) -> dict[str, Any]:
     }
 
 
-def law_each_parameter_alone_may_be_batched(camera: Camera) -> None:
-    """Three values of one parameter and one of all others are three cameras, in all that cameras can do."""
+def each_parameter_alone_may_be_batched(camera: Camera) -> None:
+    """Three values of one parameter and one of all others are three cameras, in all that cameras can do.
+
+    Of shapes alone, so it is asked in one precision.
+    """
     given = arguments_of(camera)
     for name in (*camera.intrinsic_names, "max_angle"):
         if given.get(name) is None:

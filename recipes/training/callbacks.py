@@ -11,16 +11,17 @@ from typing import Any
 
 import numpy as np
 import pytorch_lightning as pl
-from pytorch_lightning.callbacks import Callback, RichProgressBar
+import torch
+from pytorch_lightning.callbacks import Callback, RichProgressBar, WeightAveraging
 from pytorch_lightning.loggers import TensorBoardLogger
 from pytorch_lightning.utilities.exceptions import SIGTERMException
 
 from sphericalvision.io.images import write_image
-from sphericalvision.recipes.app.kinds import Count, Number, Positive
+from sphericalvision.recipes.app.kinds import Count, Number, Positive, Share
 from sphericalvision.sweep import depth_from_index, inverse_depth_from_index
 from sphericalvision.viz.panorama import depth_to_color, error_to_color
 
-__all__ = ["DepthPanels", "PlainProgress", "SaveOnInterrupt", "TrainingBar", "progress"]
+__all__ = ["DepthPanels", "MovingAverage", "PlainProgress", "SaveOnInterrupt", "TrainingBar", "progress"]
 
 
 class DepthPanels(Callback):
@@ -79,6 +80,42 @@ class DepthPanels(Callback):
             rows.append(error_to_color(module.panorama(error, self.height).cpu(), self.max_error))
             columns.append(np.concatenate(rows, axis=0))
         return np.concatenate(columns, axis=1)
+
+
+class MovingAverage(WeightAveraging):
+    """Validated and kept is an exponential moving average of weights and running statistics.
+
+    It lies where training runs, and a step of it is one operator for all weights, which nothing is read back for.
+    Lightning's ``EMAWeightAveraging`` sends all weights to the host at each step, where a trainer first has them.
+
+    Args:
+        decay: of the average, at every step.
+    """
+
+    def __init__(self, decay: Share = 0.999) -> None:
+        super().__init__()
+        self.decay = decay
+
+    def setup(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:
+        """Make the average where the weights will be."""
+        self._device = trainer.strategy.root_device
+        super().setup(trainer, pl_module, stage)
+
+    def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *args: Any) -> None:
+        """Go towards the weights, once they have taken a step; after the first one, all the way."""
+        if trainer.global_step == self._latest_update_step:  # gradients of several batches make a step
+            return
+        assert self._average_model is not None
+        states = (module.state_dict().values() for module in (self._average_model.module, pl_module))
+        pairs = list(zip(*states, strict=True))
+        averages, values = map(
+            list, zip(*(pair for pair in pairs if pair[0].is_floating_point()), strict=True)
+        )
+        torch._foreach_lerp_(averages, values, 1 - self.decay if self._latest_update_step else 1.0)
+        for average, value in pairs:
+            if not average.is_floating_point():  # how many batches a normalisation has met
+                average.copy_(value)
+        self._latest_update_step = trainer.global_step
 
 
 class SaveOnInterrupt(Callback):

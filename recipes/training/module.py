@@ -9,6 +9,7 @@ from typing import Any
 
 import pytorch_lightning as pl
 import torch
+from torch.nn.utils import parameters_to_vector, vector_to_parameters
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
@@ -96,9 +97,11 @@ class TrainingModule(pl.LightningModule):
 
     def on_before_optimizer_step(self, optimizer: Optimizer) -> None:
         """Take no part of a gradient that is no number: one such sample would be the end of a training of hours."""
-        for parameter in self.net.parameters():
-            if parameter.grad is not None:
-                parameter.grad.nan_to_num_(0.0, 0.0, 0.0)
+        gradients = [weight.grad for weight in self.net.parameters() if weight.grad is not None]
+        if gradients:
+            # In one row: a device is asked for two operators, not for one a weight.
+            row = parameters_to_vector(gradients).nan_to_num_(0.0, 0.0, 0.0)
+            vector_to_parameters(row, gradients)
 
     def on_validation_end(self) -> None:
         """Note which state has been validated."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from hashlib import sha256
 
-import torch
 from jaxtyping import Shaped
 from torch import Tensor
 
@@ -44,7 +43,5 @@ def rig_fingerprint(rig: CameraRig, extra: object = "", digits: int = 5) -> str:
 
 def rounded_text(values: Shaped[Tensor, " ..."], digits: int = 5) -> bytes:
     """Numbers as text of a few digits: float32 and float64, and other ways to compute them, give the same."""
-    flat = values.detach().cpu().double().flatten()
-    return " ".join(
-        f"{value:.{digits}g}" for value in torch.where(flat.abs() < 1e-6, 0.0, flat).tolist()
-    ).encode()
+    numbers = values.detach().cpu().double().flatten().tolist()
+    return " ".join(f"{0.0 if abs(value) < 1e-6 else value:.{digits}g}" for value in numbers).encode()

@@ -8,6 +8,7 @@ Convention:
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -28,6 +29,7 @@ from sphericalvision.core import (
     check_tensor,
     check_type,
     full_precision,
+    in_one_graph,
     short_repr,
 )
 from sphericalvision.geometry import (
@@ -182,7 +184,7 @@ class CameraRig:
         cameras = {name: camera.to(device, dtype) for name, camera in self.cameras.items()}
         masks = {name: mask.to(device) for name, mask in self.masks.items()}
         near = self._from_near_by() if dtype == torch.float32 else self
-        return self.replaced(cameras, near.world_from_camera.to(device, dtype), masks, near.origin.to(device))
+        return self._of(cameras, near.world_from_camera.to(device, dtype), masks, near.origin.to(device))
 
     def _from_near_by(self) -> CameraRig:
         """The rig with poses as seen from a place near the cameras, whole metres, if they are far from the origin."""
@@ -234,6 +236,18 @@ class CameraRig:
             self.around,
             self.origin if origin is None else origin,
         )
+
+    def _of(
+        self,
+        cameras: dict[str, Camera],
+        world_from_camera: Tensor,
+        masks: dict[str, Tensor],
+        origin: Tensor,
+    ) -> CameraRig:
+        """The rig of this one's values, checked when it was made: on a device each check would be waited for."""
+        rig = copy.copy(self)
+        rig.cameras, rig.world_from_camera, rig.masks, rig.origin = cameras, world_from_camera, masks, origin
+        return rig
 
     def subset(self, which: Sequence[str | int]) -> CameraRig:
         """The rig with only these cameras, by name or index, in this order.
@@ -336,7 +350,7 @@ class CameraRig:
             raise ArgumentError("select: this rig has no batch dimension; its poses are (n, 4, 4)")
         cameras = {n: c.select(index) if c.batch_shape else c for n, c in self.cameras.items()}
         masks = {name: mask[index] if mask.ndim > 2 else mask for name, mask in self.masks.items()}
-        return self.replaced(cameras, self.world_from_camera[index], masks, self.origin[index])
+        return self._of(cameras, self.world_from_camera[index], masks, self.origin[index])
 
     @staticmethod
     def stack(rigs: Sequence[CameraRig]) -> CameraRig:
@@ -445,16 +459,20 @@ class CameraRig:
     @full_precision
     def _project_rays(self, rays: Sequence[Tensor]) -> Projection:
         """Pixels of the rays ``(*b, P, 3)`` from each camera, whose coordinates are turned like the world's."""
-        pixels, valid = [], []
-        for index, (name, camera) in enumerate(self.cameras.items()):
-            world_from_camera = self.world_from_camera[..., index, :3, :3].to(rays[index])
-            coords, seen = camera.project(rays[index] @ world_from_camera)
+        cameras = list(self.cameras.values())
+        rotations = self.world_from_camera[..., :3, :3].to(rays[0]).unbind(-3)
+        rays = [ray @ rotation for ray, rotation in zip(rays, rotations, strict=True)]
+        alike = all(camera._signature() == cameras[0]._signature() for camera in cameras)
+        if alike and in_one_graph(rays[0].device):  # one batch, in place of as many operators for each
+            together = type(cameras[0]).stack(cameras).project(torch.stack(rays))
+            projections = [Projection(*one) for one in zip(*together, strict=True)]
+        else:
+            projections = [camera.project(ray) for camera, ray in zip(cameras, rays, strict=True)]
+        pixels, valid = [one.pixels for one in projections], [one.valid for one in projections]
+        for index, name in enumerate(self.names):
             if name in self.masks:
-                seen = seen & is_usable(
-                    camera, self.masks[name], torch.where(seen.unsqueeze(-1), coords, 0.0)
-                )
-            pixels.append(coords)
-            valid.append(seen)
+                coords = pixels[index].where(valid[index].unsqueeze(-1), 0.0)
+                valid[index] = valid[index] & is_usable(cameras[index], self.masks[name], coords)
         return Projection(torch.stack(pixels, -3), torch.stack(valid, -2))
 
     def to_yaml(self, path: str | Path) -> None:

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.core import check_type
+from sphericalvision.core import check_type, in_one_graph
 from sphericalvision.icosphere import TriangleLocator
 
 __all__ = ["SweepTables", "sweep_tables"]
@@ -135,11 +135,21 @@ def _tables_of_one_rig(
     if points.is_meta:  # where nobody knows what is in view
         return SweepTables(ids, weights, mask)
     corners = F.pad(locator.faces, (0, 0, 1, 0))  # the first row is for what is not in view
+    differentiable = torch.is_grad_enabled() and any(
+        values.requires_grad for values in (points, inverse_depths, offsets)
+    )
+    at_once = in_one_graph(points.device) and not differentiable
     for hypotheses, vertices in _blocks(*shape, locator.chunk_size):
         with torch.no_grad():
             block = hypotheses, vertices
             rays = points[:, None, vertices] + inverse_depths[hypotheses] * offsets[:, None, vertices]
             _in_view(rays, axes[:, vertices], limits[vertices], out=mask[block])
+            if at_once:  # a device is not asked how many are in view
+                found, shares = locator.find(rays.flatten(1))
+                shown = mask[block].flatten()
+                torch.index_select(corners, 0, (found + 1) * shown, out=ids[block].view(-1, 3))
+                weights[block] = shares.T.where(shown[:, None], 0.0).view_as(weights[block])
+                continue
             # Only points in view are located: the weights of others are zero, and no NaN may reach a gradient.
             seen = mask[block].flatten().nonzero()[:, 0]
             found, shares = locator.find(rays.flatten(1).index_select(1, seen))
@@ -147,7 +157,7 @@ def _tables_of_one_rig(
             torch.index_select(corners, 0, rows, out=ids[block].view(-1, 3))
             weights[block].view(-1, 3).index_copy_(0, seen, shares.T)
             all_found.append(found)
-    if torch.is_grad_enabled() and any(values.requires_grad for values in (points, inverse_depths, offsets)):
+    if differentiable:
         seen = mask.flatten().nonzero()[:, 0]
         rays = (points[:, None] + inverse_depths * offsets[:, None]).flatten(1).index_select(1, seen)
         shares = locator.weights(rays, torch.cat(all_found))

@@ -28,7 +28,8 @@ def seen_in_view(rig: CameraRig, level: int) -> Bool[Tensor, "*b n V"]:
     """
     poses = rig.world_from_camera
     far = torch.zeros(1, dtype=poses.dtype, device=poses.device)
-    return rig.points_seen(icosphere_vertices(level, poses.dtype, poses.device), far).squeeze(-2)
+    directions = icosphere_vertices(level, poses.dtype, poses.device)
+    return rig.project_along(directions, far).valid.squeeze(-2)
 
 
 def check_seen(

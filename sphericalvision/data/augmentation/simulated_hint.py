@@ -54,7 +54,7 @@ def simulated_hint(
         >>> truth, generator = torch.full((8, 162), 0.5), torch.Generator().manual_seed(0)
         >>> hint = simulated_hint(truth, truth > 0, generator=generator)
         >>> hint.weight.shape, (hint.weight.amax(1) > 0).sum()
-        (torch.Size([8, 162]), tensor(2))
+        (torch.Size([8, 162]), tensor(5))
     """
     batch, device = len(inverse_depth), inverse_depth.device
     level = level_from_num_vertices(inverse_depth.shape[-1])
@@ -65,43 +65,42 @@ def simulated_hint(
     def normal(*shape: int) -> Tensor:
         return torch.randn(batch, *shape, generator=generator, device=device)
 
-    def between(least: float, most: float) -> Tensor:
-        """A number of each sample, evenly spread in its logarithm."""
-        return (math.log(least) + uniform(1) * math.log(most / least)).exp()
+    def between(least: float, most: float, share: Tensor) -> Tensor:
+        """Numbers evenly spread in their logarithm."""
+        return (math.log(least) + share * math.log(most / least)).exp()
 
-    def smooth() -> Tensor:
-        coarse = min(COARSE, level)
-        values = normal(1, num_icosphere_vertices(coarse))
-        for _ in range(coarse, level):
-            values = icosphere_upsample(values)
-        return values[:, 0]
+    shares = uniform(8).split(1, 1)  # of what a sample has once
+    nonsense, sparse, single, holed, present = (
+        value < most for value, most in zip(shares, (NONSENSE, SPARSE, SINGLE, HOLED, share), strict=False)
+    )
+    blur, error, density = shares[5], between(*ERRORS, shares[6]), between(*DENSITIES, shares[7])
+    fields = normal(2, num_icosphere_vertices(min(COARSE, level)))
+    for _ in range(COARSE, level):
+        fields = icosphere_upsample(fields)
+    smooth_error, smooth_holes = fields.unbind(1)
 
-    nonsense, sparse, single = uniform(1) < NONSENSE, uniform(1) < SPARSE, uniform(1) < SINGLE
     turned = rotate_fivefold(inverse_depth.roll(1, 0), 2), rotate_fivefold(valid.roll(1, 0), 2)
     values = turned[0].where(nonsense, inverse_depth)
     known = turned[1].where(nonsense, valid)
     values = values.where(known, 0.0)
 
     cameras = inverse_depth.new_ones(batch, 1, values.shape[-1]) if seen is None else seen.to(values)
-    order = cameras * (
-        uniform(cameras.shape[1], 1) + 0.01
-    )  # the greatest of those that see a direction says it
-    view = order.argmax(1)
+    # The greatest of those that see a direction says it.
+    order = cameras * (uniform(cameras.shape[1], 1) + 0.01)
+    greatest, view = order.max(1)
     mean = values.sum(1, keepdim=True) / known.sum(1, keepdim=True).clamp(min=1)
-    scale = (SCALE * normal(cameras.shape[1])).exp().gather(1, view)
-    shift = (SHIFT * normal(cameras.shape[1])).gather(1, view) * mean
+    scale, shift = normal(2, cameras.shape[1]).unbind(1)
+    scale, shift = (SCALE * scale).exp().gather(1, view), (SHIFT * shift).gather(1, view) * mean
 
     rows = torch.stack((values, known.to(values)), -1).transpose(0, 1)
     sums, weights = ring_mean(ring_mean(rows)).transpose(0, 1).unbind(-1)
-    blurred = values.lerp(sums / weights.clamp(min=1e-6), uniform(1))
-    error = between(*ERRORS)
-    dense = (blurred * scale * (error * smooth()).exp() + shift).clamp(min=0)
+    blurred = values.lerp(sums / weights.clamp(min=1e-6), blur)
+    dense = (blurred * scale * (error * smooth_error).exp() + shift).clamp(min=0)
     values = values.where(sparse, dense) * (0.5 * error * normal(values.shape[-1])).exp()
 
-    points = uniform(values.shape[-1]) < between(*DENSITIES)
-    known = known & (points | ~sparse) & ((smooth() > -0.5) | (uniform(1) > HOLED))
-    first = order.amax((1, 2), keepdim=True)[:, 0]
-    of_one = order.amax(1) == first  # the camera that comes before all others
-    known = known & (order.amax(1) > 0) & (of_one | ~single) & (uniform(1) < share)
+    points = uniform(values.shape[-1]) < density
+    known = known & (points | ~sparse) & ((smooth_holes > -0.5) | ~holed)
+    of_one = greatest == greatest.amax(1, keepdim=True)  # the camera that comes before all others
+    known = known & (greatest > 0) & (of_one | ~single) & present
     weight = (1 - 4 * error + 0.15 * normal(1)).clamp(0.1, 1)
     return DepthHint(values, weight * known)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
@@ -19,11 +18,8 @@ from sphericalvision.core import (
 from sphericalvision.geometry.directions import broadcast_shapes, holds
 
 __all__ = [
-    "axis_angle_from_rotation",
     "axis_angle_from_transform",
     "invert_transform",
-    "quaternion_from_rotation",
-    "rotation_from_axis_angle",
     "transform_from_axis_angle",
     "transform_from_quaternion",
     "transform_points",
@@ -83,65 +79,6 @@ def transform_points(
     return points @ a_from_b[..., :3, :3].mT + a_from_b[..., None, :3, 3]
 
 
-def _skew(vector: Tensor) -> Tensor:
-    """Matrices (*, 3, 3) of the cross product with vectors (*, 3)."""
-    x, y, z = vector.unbind(-1)
-    zero = torch.zeros_like(x)
-    return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).unflatten(-1, (3, 3))
-
-
-def rotation_from_axis_angle(axis_angle: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
-    """Rotation (*, 3, 3) of a rotation vector (*, 3) in radians by Rodrigues' formula, smooth at 0.
-
-    Examples:
-        >>> forward = torch.tensor([0.0, 0.0, 1.0])
-        >>> (rotation_from_axis_angle(torch.tensor([0.0, torch.pi / 2, 0.0])) @ forward).round().abs().tolist()  # right
-        [1.0, 0.0, 0.0]
-    """
-    tiny = torch.finfo(axis_angle.dtype).tiny  # of no angle the axis is 0, and so is its slope
-    angle = (axis_angle.square().sum(-1, keepdim=True) + tiny).sqrt()
-    axis, angle = axis_angle / angle, angle.unsqueeze(-1)
-    turned = axis.unsqueeze(-1) * axis.unsqueeze(-2) * (1 - angle.cos()) + _skew(axis) * angle.sin()
-    return angle.cos() * torch.eye(3).to(axis) + turned
-
-
-def quaternion_from_rotation(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 4"]:
-    """(w, x, y, z) with w >= 0 of a rotation (*, 3, 3), float64, to the last digits for every angle.
-
-    It is the eigenvector of the largest eigenvalue of a symmetric matrix of the rotation's entries, for which no angle
-    is special.
-
-    References:
-        I. Bar-Itzhack, "New method for extracting the quaternion from a rotation matrix", J. Guidance 23 (2000).
-
-    Examples:
-        >>> quaternion_from_rotation(torch.eye(3)).tolist()
-        [1.0, 0.0, 0.0, 0.0]
-    """
-    a, b, c, d, e, f, g, h, i = rotation.double().flatten(-2).unbind(-1)
-    rows = (
-        (a + e + i, h - f, c - g, d - b),
-        (h - f, a - e - i, b + d, c + g),
-        (c - g, b + d, e - a - i, f + h),
-        (d - b, c + g, f + h, i - a - e),
-    )
-    matrix = torch.stack([torch.stack(row, -1) for row in rows], -2)
-    quaternion = torch.linalg.eigh(matrix).eigenvectors[..., -1]
-    return torch.where(quaternion[..., :1] < 0, -quaternion, quaternion) + 0.0
-
-
-def axis_angle_from_rotation(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:
-    """The rotation vector (*, 3) in radians of a rotation (*, 3, 3), float64, to the last digits for every angle.
-
-    Examples:
-        >>> axis_angle_from_rotation(torch.eye(3)).tolist()
-        [0.0, 0.0, 0.0]
-    """
-    cosine, vector = quaternion_from_rotation(rotation).split((1, 3), -1)
-    sine = vector.norm(dim=-1, keepdim=True)
-    return vector * torch.where(sine > 0, 2 * torch.atan2(sine, cosine) / sine, 2.0)
-
-
 def transform_from_axis_angle(
     axis_angle: Float[Tensor, "*angles 3"], translation: Float[Tensor, "*translations 3"]
 ) -> Float[Tensor, "*batch 4 4"]:
@@ -156,7 +93,10 @@ def transform_from_axis_angle(
     check_last_dim("axis_angle", axis_angle, 3)
     check_floating("axis_angle", axis_angle)
     check_last_dim("translation", translation, 3)
-    return _assemble(rotation_from_axis_angle(axis_angle), translation)
+    from kornia.geometry.conversions import axis_angle_to_rotation_matrix  # a second to import
+
+    rotation = axis_angle_to_rotation_matrix(axis_angle.reshape(-1, 3))
+    return _assemble(rotation.reshape(*axis_angle.shape[:-1], 3, 3), translation)
 
 
 def axis_angle_from_transform(
@@ -169,7 +109,10 @@ def axis_angle_from_transform(
         [0.0, 0.0, 0.0]
     """
     _check_transform("a_from_b", a_from_b)
-    return axis_angle_from_rotation(a_from_b[..., :3, :3]).to(a_from_b), a_from_b[..., :3, 3]
+    from kornia.geometry.conversions import rotation_matrix_to_axis_angle
+
+    axis_angle = rotation_matrix_to_axis_angle(a_from_b[..., :3, :3].reshape(-1, 3, 3))
+    return axis_angle.reshape(*a_from_b.shape[:-2], 3), a_from_b[..., :3, 3]
 
 
 def transform_from_quaternion(
@@ -186,6 +129,6 @@ def transform_from_quaternion(
     if not holds((quaternion != 0).any(-1)):
         raise ArgumentError("quaternion: expected (w, x, y, z) of any length but zero, got zeros")
     check_last_dim("translation", translation, 3)
-    cosine, vector = F.normalize(quaternion, dim=-1)[..., None].split((1, 3), -2)
-    along = (cosine.square() - vector.square().sum(-2, keepdim=True)) * torch.eye(3).to(quaternion)
-    return _assemble(along + 2 * (vector * vector.mT + cosine * _skew(vector.squeeze(-1))), translation)
+    from kornia.geometry.conversions import quaternion_to_rotation_matrix
+
+    return _assemble(quaternion_to_rotation_matrix(quaternion), translation)

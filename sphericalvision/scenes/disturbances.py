@@ -16,7 +16,6 @@ from sphericalvision.cameras import Camera, CameraRig
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.extensions import Registry
 from sphericalvision.geometry import angle_from_axis, transform_from_axis_angle
-from sphericalvision.geometry.blur import gaussian_blur
 
 __all__ = [
     "DISTURBANCES",
@@ -167,7 +166,11 @@ class CameraDisturbance:
         if self.vignetting:
             image = vignetted(image, camera, amount(self.vignetting))
         if self.blur:
-            image = gaussian_blur(image, amount(self.blur))
+            from kornia.filters import gaussian_blur2d  # a second to import
+
+            sigma = amount(self.blur)
+            size = 2 * math.ceil(3 * sigma) + 1
+            image = gaussian_blur2d(image[None], (size, size), (sigma, sigma))[0]
         if self.exposure or self.white_balance:
             stops = torch.full((3, 1, 1), sign() * amount(self.exposure))
             stops += torch.tensor([sign() * amount(self.white_balance) for _ in range(3)]).view(3, 1, 1)

@@ -26,8 +26,8 @@ from sphericalvision.cameras import (
     save_rig,
 )
 from sphericalvision.cameras.calibration import CAMERA_FORMATS, RIG_FORMATS
+from sphericalvision.cameras.calibration.poses import axis_angle_from_rotation, quaternion_from_rotation
 from sphericalvision.geometry import transform_from_axis_angle
-from sphericalvision.geometry.transforms import axis_angle_from_rotation, quaternion_from_rotation
 
 SIZE = (240, 320)
 CENTER = [160.3, 119.7]
@@ -149,10 +149,10 @@ def test_rotations_become_quaternions_and_vectors_to_the_last_digits(degrees: fl
     axis = torch.tensor([0.6, -0.48, 0.64], dtype=torch.float64)
     vector = axis * torch.deg2rad(torch.tensor(degrees, dtype=torch.float64))
     rotation = transform_from_axis_angle(vector[None], torch.zeros(1, 3, dtype=torch.float64))[0, :3, :3]
-    w, x, y, z = quaternion_from_rotation(rotation).tolist()
+    w, x, y, z = quaternion_from_rotation(rotation)
     assert w >= 0
     assert w * w + x * x + y * y + z * z == pytest.approx(1.0, abs=1e-14)
-    found = axis_angle_from_rotation(rotation)
+    found = torch.tensor(axis_angle_from_rotation(rotation), dtype=torch.float64)
     angle = found.norm()
     skew = torch.linalg.cross(
         torch.eye(3, dtype=torch.float64), (found / angle.clamp_min(1e-300)).expand(3, 3)

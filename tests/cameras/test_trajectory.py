@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from sphericalvision.cameras import CameraRig, FisheyeCamera, Trajectory, read_trajectory, save_rig
+from sphericalvision.cameras.calibration.poses import quaternion_from_rotation
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
 from sphericalvision.geometry import transform_from_axis_angle
-from sphericalvision.geometry.transforms import quaternion_from_rotation
 
 NUMBER = 12
 CAMERA = FisheyeCamera.from_field_of_view((32, 40), 3.0)
@@ -29,7 +29,7 @@ def way() -> torch.Tensor:
 def tum(poses: torch.Tensor) -> str:
     lines = ["# timestamp tx ty tz qx qy qz qw"]
     for number, pose in enumerate(poses):
-        w, *xyz = quaternion_from_rotation(pose[:3, :3]).tolist()
+        w, *xyz = quaternion_from_rotation(pose[:3, :3])
         values = [*pose[:3, 3].tolist(), *xyz, w]
         lines.append(f"{1305031102 + number / 10:.6f} " + " ".join(f"{value:.12f}" for value in values))
     return "\n".join(lines)
@@ -39,7 +39,7 @@ def table(poses: torch.Tensor, header: str, order: str, separator: str = ",", mo
     """Nanoseconds, and the columns in an order, under a header."""
     lines = [header]
     for number, pose in enumerate(poses):
-        w, *xyz = quaternion_from_rotation(pose[:3, :3]).tolist()
+        w, *xyz = quaternion_from_rotation(pose[:3, :3])
         names = ("x", "y", "z", "qw", "qx", "qy", "qz")
         values = dict(zip(names, [*pose[:3, 3].tolist(), w, *xyz], strict=True))
         time = str((1305031102000 + 100 * number) * 10**6)

@@ -29,11 +29,10 @@ from sphericalvision.cameras.calibration.lenses import (
     numbers_of,
 )
 from sphericalvision.cameras.calibration.parsing import size_from_width_height
-from sphericalvision.cameras.calibration.poses import transform_from_numbers
+from sphericalvision.cameras.calibration.poses import quaternion_from_rotation, transform_from_numbers
 from sphericalvision.cameras.calibration.text_files import write_json
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import FileFormatError
-from sphericalvision.geometry.transforms import quaternion_from_rotation
 from sphericalvision.io.images import read_mask, write_mask
 
 __all__ = ["contents", "write_basalt"]
@@ -104,7 +103,7 @@ def write_basalt(cameras: Camera | CameraRig, path: str | Path) -> None:
             {"camera_type": lens.name, "intrinsics": dict(zip(lens.keys, parameters, strict=True))}
         )
         value0["resolution"].append(list(camera.image_size[::-1]))
-        rotation = quaternion_from_rotation(pose[:3, :3]).tolist()
+        rotation = quaternion_from_rotation(pose[:3, :3])
         value0["T_imu_cam"].append(
             {
                 **dict(zip(_POSITION, numbers_of(pose[:3, 3]), strict=True)),

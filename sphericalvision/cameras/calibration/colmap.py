@@ -49,12 +49,11 @@ from sphericalvision.cameras.calibration.lenses import (
     numbers_of,
 )
 from sphericalvision.cameras.calibration.parsing import size_from_width_height, view_name
-from sphericalvision.cameras.calibration.poses import transform_from_numbers
+from sphericalvision.cameras.calibration.poses import quaternion_from_rotation, transform_from_numbers
 from sphericalvision.cameras.calibration.text_files import data_lines, looks_structured
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, check_file
 from sphericalvision.geometry import invert_transform
-from sphericalvision.geometry.transforms import quaternion_from_rotation
 from sphericalvision.io.files import write_bytes
 
 __all__ = ["contents", "recognizes", "write_colmap", "write_colmap_model", "write_colmap_rig"]
@@ -276,7 +275,7 @@ def write_colmap_model(
 
 
 def _pose(transform: Tensor) -> list[float]:
-    return [*quaternion_from_rotation(transform[:3, :3]).tolist(), *numbers_of(transform[:3, 3])]
+    return [*quaternion_from_rotation(transform[:3, :3]), *numbers_of(transform[:3, 3])]
 
 
 def _records(named: Mapping[str, Camera]) -> list[CameraRecord]:

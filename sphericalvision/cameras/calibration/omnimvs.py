@@ -20,11 +20,11 @@ from sphericalvision.cameras.calibration.contents import Contents, Gathered, Opt
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.ocam_text import make_ocam, ocam_numbers
+from sphericalvision.cameras.calibration.poses import axis_angle_from_rotation
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import transform_from_axis_angle
-from sphericalvision.geometry.transforms import axis_angle_from_rotation
 from sphericalvision.io.files import write_yaml
 from sphericalvision.io.images import read_mask, write_mask
 
@@ -105,7 +105,7 @@ def write_omnimvs(rig: CameraRig, path: str | Path) -> None:
                 "image_size": values["size"],
                 "invalid_mask": f"mask{cam_id}.png",
                 "pose": [
-                    *axis_angle_from_rotation(poses[place - 1, :3, :3]).tolist(),
+                    *axis_angle_from_rotation(poses[place - 1, :3, :3]),
                     *poses[place - 1, :3, 3].tolist(),
                 ],
                 "max_fov": math.degrees(2 * float(camera.max_angle)),

@@ -17,7 +17,9 @@ from sphericalvision.geometry import transform_from_quaternion
 
 __all__ = [
     "OPENGL_FROM_OPENCV",
+    "axis_angle_from_rotation",
     "checked_rigid",
+    "quaternion_from_rotation",
     "transform_from_numbers",
     "transform_from_rows",
 ]
@@ -75,3 +77,45 @@ def transform_from_numbers(
         raise FileFormatError(f"{where}: expected a quaternion of length 1, got one of length {length:.3g}")
     table = torch.tensor([*quaternion, *translation], dtype=torch.float64)
     return transform_from_quaternion(table[:4], table[4:])
+
+
+def quaternion_from_rotation(rotation: Float[Tensor, "3 3"]) -> list[float]:
+    """(w, x, y, z) with w >= 0 of a rotation (3, 3), to the last digits for every angle.
+
+    It is the eigenvector of the largest eigenvalue of a symmetric matrix of the rotation's entries, for which no angle
+    is special.
+
+    References:
+        I. Bar-Itzhack, "New method for extracting the quaternion from a rotation matrix", J. Guidance 23 (2000).
+
+    Examples:
+        >>> quaternion_from_rotation(torch.eye(3))
+        [1.0, 0.0, 0.0, 0.0]
+    """
+    (a, b, c), (d, e, f), (g, h, i) = rotation.detach().to("cpu", torch.float64).tolist()
+    matrix = torch.tensor(
+        [
+            [a + e + i, h - f, c - g, d - b],
+            [h - f, a - e - i, b + d, c + g],
+            [c - g, b + d, e - a - i, f + h],
+            [d - b, c + g, f + h, i - a - e],
+        ],
+        dtype=torch.float64,
+    )
+    quaternion = torch.linalg.eigh(matrix).eigenvectors[:, -1]
+    values: list[float] = (quaternion * (-1.0 if quaternion[0] < 0 else 1.0) + 0.0).tolist()
+    return values
+
+
+def axis_angle_from_rotation(rotation: Float[Tensor, "3 3"]) -> list[float]:
+    """The rotation vector in radians of a rotation (3, 3), to the last digits for every angle.
+
+    Examples:
+        >>> axis_angle_from_rotation(torch.eye(3))
+        [0.0, 0.0, 0.0]
+    """
+    quaternion = torch.tensor(quaternion_from_rotation(rotation), dtype=torch.float64)
+    sine = quaternion[1:].norm()
+    angle = 2 * torch.atan2(sine, quaternion[0])
+    vector: list[float] = (quaternion[1:] * (angle / sine if sine > 0 else 2.0)).tolist()
+    return vector

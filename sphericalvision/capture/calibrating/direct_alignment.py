@@ -25,10 +25,8 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera, check_single
 from sphericalvision.cameras.remapping.lookup import pixels_a_radian
 from sphericalvision.cameras.rig import CameraRig, check_images_of
-from sphericalvision.capture.calibrating.turns import rightness, turned
+from sphericalvision.capture.calibrating.turns import rightness, rotations, turned
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.geometry.blur import gaussian_blur
-from sphericalvision.geometry.transforms import rotation_from_axis_angle
 from sphericalvision.icosphere import icosphere_vertices
 
 __all__ = ["DirectAlignment", "align_rig_direct"]
@@ -170,6 +168,8 @@ class _View:
     def __init__(
         self, camera: Camera, images: Tensor, mask: Tensor | None, pixel: float, blur: float
     ) -> None:
+        from kornia.filters import gaussian_blur2d  # a second to import
+
         self.camera = camera
         fine = pixels_a_radian(camera)
         self.shrink = max(1, int(pixel * fine))
@@ -183,7 +183,10 @@ class _View:
             images, self.shown = (F.avg_pool2d(x, self.shrink, ceil_mode=True) for x in (images, shown))
 
         def mean(values: Tensor, sigma: float) -> Tensor:
-            both = [gaussian_blur(x, sigma, "constant") for x in (values, self.shown)]
+            size = 2 * math.ceil(3 * sigma) + 1
+            both = [
+                gaussian_blur2d(x, (size, size), (sigma, sigma), "constant") for x in (values, self.shown)
+            ]
             return both[0] / both[1].clamp(min=1e-3)
 
         # the images are already multiplied with what is shown, so both means leave out the rest
@@ -238,7 +241,7 @@ class _Problem:
         rays = self.directions + parallax.unsqueeze(-1) * offset
         length = rays.norm(dim=-1, keepdim=True)
         rays = rays / length
-        world_from_camera = (rotation_from_axis_angle(turns)[place] @ self.rotations[place]).to(rays)
+        world_from_camera = (rotations(turns)[place] @ self.rotations[place]).to(rays)
         small = 0.3 * view.pixel
         tangents = _tangents(rays)
         moved = small * torch.stack((tangents, -tangents), 2).flatten(1, 2)  # (F, 4, V, 3)

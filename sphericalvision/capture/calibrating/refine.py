@@ -21,8 +21,9 @@ from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.cameras.models.ocam_polynomials import fit_inverse_polynomial
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.capture.calibrating.board_pose import pose_from_directions
+from sphericalvision.capture.calibrating.turns import rotations
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.geometry import invert_transform, transform_from_axis_angle, transform_points
+from sphericalvision.geometry import invert_transform, transform_points
 from sphericalvision.geometry.least_squares import solve_least_squares
 
 __all__ = ["FEWEST", "RefinedCamera", "RefinedRig", "refinable_intrinsics", "refine", "refine_rig"]
@@ -211,7 +212,9 @@ def _finished(refined: Camera, like: Camera) -> Camera:
 
 def _moves(changes: Tensor) -> Tensor:
     """Rigid transforms (*, 4, 4) of rotation vectors and shifts (*, 6), smooth at 0, where the search begins."""
-    return transform_from_axis_angle(changes[..., :3], changes[..., 3:])
+    vector, shift = changes[..., :3], changes[..., 3:]
+    last = torch.tensor([0.0, 0.0, 0.0, 1.0]).to(vector).expand(*vector.shape[:-1], 1, 4)
+    return torch.cat((torch.cat((rotations(vector), shift.unsqueeze(-1)), -1), last), -2)
 
 
 class _Bundle:

@@ -10,21 +10,36 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.geometry.transforms import rotation_from_axis_angle
 
-__all__ = ["about_most", "rightness", "turned"]
+__all__ = ["about_most", "rightness", "rotations", "turned"]
 
 _NONE = math.radians(0.05)
 """Turns below are no turns when it comes to which cameras are right."""
 _ROUNDS = 10
 
 
+def rotations(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """Return rotation matrices of rotation vectors by Rodrigues' formula, smooth at 0, where a search begins.
+
+    Examples:
+        >>> forward = torch.tensor([0.0, 0.0, 1.0])
+        >>> (rotations(torch.tensor([0.0, torch.pi / 2, 0.0])) @ forward).round().abs().tolist()  # goes to the right
+        [1.0, 0.0, 0.0]
+    """
+    angle = (vectors.square().sum(-1) + 1e-30).sqrt()[..., None, None]
+    x, y, z = vectors.unbind(-1)
+    zero = torch.zeros_like(x)
+    skew = torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).unflatten(-1, (3, 3))
+    rotation = torch.eye(3).to(vectors) + skew * (angle.sin() / angle)
+    return rotation + skew @ skew * (2 * (angle / 2).sin().square() / angle.square())
+
+
 def turned(rig: CameraRig, turns: Float[Tensor, "n 3"]) -> CameraRig:
     """Return a rig with each camera turned by a rotation vector in the world, radians, about its own position."""
     poses = rig.world_from_camera.detach().clone()
-    poses[:, :3, :3] = (
-        rotation_from_axis_angle(turns.to(poses.device, torch.float64)) @ poses[:, :3, :3].double()
-    ).to(poses)
+    poses[:, :3, :3] = (rotations(turns.to(poses.device, torch.float64)) @ poses[:, :3, :3].double()).to(
+        poses
+    )
     return rig.replaced(world_from_camera=poses)
 
 

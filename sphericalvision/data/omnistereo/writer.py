@@ -22,6 +22,7 @@ from sphericalvision.cameras import (
     save_camera,
     save_rig,
 )
+from sphericalvision.cameras.calibration.poses import axis_angle_from_rotation
 from sphericalvision.cameras.field_of_view import visible_angle
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data.omnistereo.ground_truth import write_ground_truth
@@ -32,7 +33,6 @@ from sphericalvision.data.omnistereo.releases import (
     index_frames,
     read_min_depth,
 )
-from sphericalvision.geometry.transforms import axis_angle_from_rotation
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.files import write_bytes, write_yaml
 from sphericalvision.io.images import write_image
@@ -185,7 +185,7 @@ def _write_ocam_files(folder: Path, layout: Release, rig: CameraRig) -> None:
     lines = ["# translation_unit: cm\n"]
     for number, (camera, pose) in enumerate(zip(rig.cameras.values(), rig.world_from_camera, strict=True), 1):
         save_camera(camera, folder / f"ocam{number}.txt", format="ocamcalib")
-        numbers = [*axis_angle_from_rotation(pose[:3, :3]).tolist(), *(100 * pose[:3, 3]).tolist()]
+        numbers = [*axis_angle_from_rotation(pose[:3, :3]), *(100 * pose[:3, 3]).tolist()]
         lines.append(" ".join(f"{value:.17g}" for value in numbers) + "\n")
     (folder / layout.calibration).write_text("".join(lines))
 

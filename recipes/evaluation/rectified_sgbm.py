@@ -19,6 +19,9 @@ from sphericalvision.sweep import DepthEstimate, DepthHint, index_from_inverse_d
 
 __all__ = ["RectifiedSGBM"]
 
+BLOCK_SIZE, UNIQUENESS = 3, 5
+"""Pixels of a side of the blocks that are matched; percent by which the best match is better than the second."""
+
 
 class RectifiedSGBM(DepthNetwork):
     """OpenCV's semi-global matching on Cassini pairs of all cameras that share a field of view, merged around the rig.
@@ -29,8 +32,6 @@ class RectifiedSGBM(DepthNetwork):
         level: of the icospheres of other methods: the panorama of the result is about as fine as one a level below.
         num_hypotheses: N, of the index.
         min_depth: metres from the rig's centre; what is nearer is not looked for.
-        block_size: pixels of a side of the blocks that are matched.
-        uniqueness: percent by which the best match is better than the second.
 
     References:
         H. Hirschmüller (2008), "Stereo processing by semiglobal matching and mutual information", as OpenCV has it.
@@ -46,18 +47,10 @@ class RectifiedSGBM(DepthNetwork):
     min_depth_follows: ClassVar[Literal["rig", "training", "scene"]] = "scene"
     grid: Equirectangular
 
-    def __init__(
-        self,
-        level: int = 6,
-        num_hypotheses: int = 16,
-        min_depth: float = 0.55,
-        block_size: int = 3,
-        uniqueness: int = 5,
-    ) -> None:
+    def __init__(self, level: int = 6, num_hypotheses: int = 16, min_depth: float = 0.55) -> None:
         super().__init__(num_hypotheses, min_depth, num_cameras=2, any_cameras=True)
         rows = 3 * 2 ** max(check_level(level) - 1, 0)
         self.grid = Equirectangular(rows, 2 * rows)
-        self.block_size, self.uniqueness = block_size, uniqueness
 
     def tables(self, rig: CameraRig) -> tuple[CameraRig, list[RectifiedPair]]:
         """Return the rig with its pairs, to be passed in its place."""
@@ -89,15 +82,15 @@ class RectifiedSGBM(DepthNetwork):
         nearest = max(self.min_depth - reach, 0.2 * self.min_depth)  # from the left camera
         most = float(pair.disparity(torch.full(pair.image_size, nearest))[0].max())
         levels = 16 * math.ceil((most + 1) / 16)
-        area = self.block_size**2
+        area = BLOCK_SIZE**2
         matcher = cv2.StereoSGBM.create(
             minDisparity=0,
             numDisparities=levels,
-            blockSize=self.block_size,
+            blockSize=BLOCK_SIZE,
             P1=8 * area,
             P2=32 * area,
             disp12MaxDiff=1,
-            uniquenessRatio=self.uniqueness,
+            uniquenessRatio=UNIQUENESS,
             speckleWindowSize=50,
             speckleRange=2,
             mode=cv2.STEREO_SGBM_MODE_HH,

@@ -37,7 +37,8 @@ def depth_from_z(
         >>> depth  # the right pixel looks 45° aside
         tensor([[3.0000, 4.2426]])
     """
-    cosine, valid = _cosine(z, camera, "z")
+    directions, valid = _directions(z, camera, "z")
+    cosine = directions[..., 2]
     valid = valid & (cosine > torch.finfo(cosine.dtype).eps)
     depth = torch.where(valid, z, 0.0) / torch.where(valid, cosine, 1.0)
     return depth, valid.expand(depth.shape)
@@ -66,8 +67,8 @@ def z_from_depth(
         >>> z.round(decimals=4).tolist()
         [[3.0, 3.0]]
     """
-    cosine, valid = _cosine(depth, camera, "depth")
-    z = torch.where(valid, depth, 0.0) * cosine
+    directions, valid = _directions(depth, camera, "depth")
+    z = torch.where(valid, depth, 0.0) * directions[..., 2]
     return z, valid.expand(z.shape)
 
 
@@ -99,12 +100,6 @@ def points_from_depth(
     valid = seen & depth.isfinite() & (depth > 0)
     points = torch.where(valid, depth, 0.0).unsqueeze(-1) * directions
     return points, valid
-
-
-def _cosine(values: Tensor, camera: Camera, name: str) -> tuple[Tensor, Tensor]:
-    """The z component of every pixel's direction (*b, h, w), and where the camera looks."""
-    directions, valid = _directions(values, camera, name)
-    return directions[..., 2], valid
 
 
 def _directions(values: Tensor, camera: Camera, name: str) -> tuple[Tensor, Tensor]:

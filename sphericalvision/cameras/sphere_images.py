@@ -47,12 +47,9 @@ class SphereLookup(NamedTuple):
 
 
 def sphere_lookups(
-    rig: CameraRig, directions: Float[Tensor, "V 3"], antialias: bool = False, inverse_depth: float = 0.0
+    rig: CameraRig, directions: Float[Tensor, "V 3"], antialias: bool = False
 ) -> list[SphereLookup]:
-    """Where directions ``(V, 3)`` of the world fall in the images of a rig's cameras, in order.
-
-    At infinity, each camera sees them from its own position; at another ``inverse_depth`` (1/m) they are those of
-    points around the rig's centre.
+    """Where directions ``(V, 3)`` of the world, at infinity, fall in the images of a rig's cameras, in order.
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
@@ -60,7 +57,7 @@ def sphere_lookups(
         >>> front.seen, front(torch.ones(3, 64, 64)).shape
         (tensor([True]), torch.Size([3, 1]))
     """
-    seen_from = rig.project_along(directions, directions.new_tensor([inverse_depth]))
+    seen_from = rig.project_along(directions, directions.new_zeros(1))
     lookups = []
     for index, camera in enumerate(rig.cameras.values()):
         pixels, seen = seen_from.pixels[..., index, 0, :, :], seen_from.valid[..., index, 0, :]

@@ -45,7 +45,7 @@ Array = npt.NDArray[Any]
 Size = tuple[int, int]
 
 
-def read_pages(path: str | Path, what: str = "an image", image_size: Size | None = None) -> list[Array]:
+def read_pages(path: str | Path, what: str = "an image") -> list[Array]:
     """Read all pages of an image file as stored (colour pages as RGB), without scaling.
 
     Images are not turned, whatever the file says of an orientation: calibrations are of what the sensor stores.
@@ -53,22 +53,19 @@ def read_pages(path: str | Path, what: str = "an image", image_size: Size | None
     Args:
         path: any format OpenCV reads.
         what: what is expected there, for the error messages.
-        image_size: the ``(height, width)`` that the first page must have, if given.
 
     Raises:
         MissingFileError: there is no such file; the message says that ``what`` was expected.
-        FileFormatError: the file is not an image, is cut short, has another size, or says that it has more than
-            ``MAX_PIXELS`` pixels.
+        FileFormatError: the file is not an image, is cut short, or says that it has more than ``MAX_PIXELS`` pixels.
     """
-    return [_to_rgb(page) for page in _decoded(path, what, image_size)]
+    return [_to_rgb(page) for page in _decoded(path, what)]
 
 
-def read_image_size(path: str | Path, what: str = "an image") -> Size:
+def read_image_size(path: str | Path) -> Size:
     """Return the ``(height, width)`` of an image file, of its first page; pixels are decoded only if no header says it.
 
     Args:
         path: any format OpenCV reads.
-        what: what is expected there, for the error messages.
 
     Raises:
         MissingFileError: there is no such file.
@@ -76,12 +73,12 @@ def read_image_size(path: str | Path, what: str = "an image") -> Size:
     """
     from PIL import Image  # only who reads files pays for it
 
-    path = check_file(path, what)
+    path = check_file(path, "an image")
     with warnings.catch_warnings(), suppress(Exception):  # Pillow raises whatever it meets in a damaged file
         warnings.simplefilter("ignore")
         with Image.open(path) as image:
             return image.height, image.width
-    height, width = read_pages(path, what)[0].shape[:2]
+    height, width = read_pages(path)[0].shape[:2]
     return height, width
 
 
@@ -242,7 +239,7 @@ def _first_page(path: str | Path, image_size: Size | None, what: str) -> Array:
     return page[..., 0] if page.ndim == 3 and page.shape[-1] == 1 else page
 
 
-def _decoded(path: str | Path, what: str, image_size: Size | None) -> list[Array]:
+def _decoded(path: str | Path, what: str, image_size: Size | None = None) -> list[Array]:
     """All pages as OpenCV decodes them, after what ``read_pages`` checks."""
     path = check_file(path, what)
     encoded = np.fromfile(path, dtype=np.uint8)

@@ -119,15 +119,14 @@ def fade(colors: Picture, strength: Values) -> Picture:
     return np.rint(mixed).astype(np.uint8)
 
 
-def near_end(depth: Values, min_depth: float, share: float = 0.01) -> float:
+def near_end(depth: Values, min_depth: float) -> float:
     """Return a round depth in metres for the red end of a scale, so that the colours are made use of.
 
     Few rigs have anything at the nearest depth that is tried. With red there, all the rest would be dark blue.
 
     Args:
-        depth: ``(*)`` metres, evenly spread; NaN is unknown.
+        depth: ``(*)`` metres, evenly spread; NaN is unknown. A hundredth of what is known may be nearer.
         min_depth: metres; the result is not below.
-        share: of what is known, which may be nearer.
 
     Examples:
         >>> near_end(torch.linspace(1.3, 9.0, 1000), min_depth=0.1)
@@ -137,7 +136,7 @@ def near_end(depth: Values, min_depth: float, share: float = 0.01) -> float:
     values = values[values > 0]
     if not len(values):
         return min_depth
-    nearest = float(np.quantile(np.minimum(values, 1e6), share))
+    nearest = float(np.quantile(np.minimum(values, 1e6), 0.01))
     rounded = [
         digit * 10.0**power for power in range(-4, 6) for digit in _ROUND if digit * 10.0**power <= nearest
     ]

@@ -34,8 +34,6 @@ class PhotometricAugmentation(nn.Module):
     Args:
         brightness: largest amount added or taken away, of the range [0, 1].
         contrast: largest change of the factor 1 on grey levels.
-        saturation: largest change of the factor 1 on saturation.
-        hue: largest turn of the hue, as a part of the circle, up to 0.5.
         noise: standard deviation of Gaussian noise, of the range [0, 1].
         per_camera: draw colours for each camera, else once for all; noise differs always.
         generator: source of randomness; torch's global one when not given.
@@ -56,8 +54,6 @@ class PhotometricAugmentation(nn.Module):
         self,
         brightness: float = 0.1,
         contrast: float = 0.2,
-        saturation: float = 0.0,
-        hue: float = 0.0,
         noise: float = 0.01,
         per_camera: bool = True,
         generator: torch.Generator | None = None,
@@ -66,7 +62,7 @@ class PhotometricAugmentation(nn.Module):
 
         super().__init__()
         self.generator = generator
-        self.color = ColorJiggle(brightness, contrast, saturation, hue, same_on_batch=not per_camera)
+        self.color = ColorJiggle(brightness, contrast, same_on_batch=not per_camera)
         self.noise = RandomGaussianNoise(mean=0.0, std=noise, p=0.5)
 
     def apply_to(self, images: Float[Tensor, "n 3 h w"], seed: int) -> Float[Tensor, "n 3 h w"]:

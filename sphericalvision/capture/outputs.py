@@ -158,53 +158,45 @@ class Panoramas:
 def save_frame(folder: Path, prefix: str, panoramas: Panoramas, settings: Settings) -> list[Path]:
     """Write the files of one frame, their names after ``prefix``; returns the paths."""
     folder.mkdir(parents=True, exist_ok=True)
-    written = []
-    if "panorama" in settings.outputs:
-        write_image(folder / f"{prefix}panorama.png", panoramas.stitched)
-        written.append(folder / f"{prefix}panorama.png")
-    if "depth" in settings.outputs:
-        write_image(folder / f"{prefix}{COLOR}", panoramas.colors[0])
-        write_image(folder / f"{prefix}depth.png", panoramas.depth_picture)
-        written += [folder / f"{prefix}{COLOR}", folder / f"{prefix}depth.png"]
-    if "confidence" in settings.outputs:
+    paths = {
+        output: folder / f"{prefix}{name}" for output, name in FILES.items() if output in settings.outputs
+    }
+    pictures: dict[Path, Tensor | npt.NDArray[Any]] = {}
+    if "panorama" in paths:
+        pictures[paths["panorama"]] = panoramas.stitched
+    if "depth" in paths:
+        pictures[folder / f"{prefix}{COLOR}"] = panoramas.colors[0]
+        pictures[paths["depth"]] = panoramas.depth_picture
+    if "confidence" in paths:
         sure = panoramas.panorama.confidence.where(panoramas.panorama.seen, math.nan)
         ticks = [(k / 4, f"{k / 4:g}") for k in range(5)]
-        picture = add_scale_bar(colorize(sure.numpy(), "viridis"), "viridis", ticks, "confidence")
-        write_image(folder / f"{prefix}confidence.png", picture)
-        written.append(folder / f"{prefix}confidence.png")
-    clouds = [kind for kind in ("cloud", "glb") if kind in settings.outputs]
+        colors = colorize(sure.numpy(), "viridis")
+        pictures[paths["confidence"]] = add_scale_bar(colors, "viridis", ticks, "confidence")
+    for path, picture in pictures.items():
+        write_image(path, picture)
+    written = list(pictures)
+    clouds = [paths[output] for output in ("cloud", "glb") if output in paths]
     if clouds:
         cloud = panoramas.depth.points(settings.min_confidence, voxel=settings.voxel)
         origin = panoramas.depth.rig.origin.cpu()
-        written += _save_clouds(
-            [folder / f"{prefix}{FILES[kind]}" for kind in clouds],
-            in_world(cloud, origin),
-            origin,
-            settings.axes,
-        )
-    if "mesh" in settings.outputs:
+        written += _save_clouds(clouds, in_world(cloud, origin), origin, settings.axes)
+    if "mesh" in paths:
         mesh = panoramas.depth.mesh(settings.min_confidence)
-        for path in (
-            [folder / f"{prefix}mesh{suffix}" for suffix in (".ply", ".glb")] if len(mesh.faces) else ()
-        ):
+        for path in [paths["mesh"], paths["mesh"].with_suffix(".glb")] if len(mesh.faces) else ():
             placed = mesh.copy()  # as seen from the origin of the rig: trimesh writes float32
             placed.vertices = _placed(torch.from_numpy(mesh.vertices.copy()), path, settings.axes).numpy()
             with atomic_write(path) as temporary:
                 placed.export(temporary)
             written.append(path)
-    if "viewer" in settings.outputs:
+    if "viewer" in paths:
         from sphericalvision.capture.viewer import save_viewer
 
         title = f"depth all around {prefix.rstrip('_')}".strip()
-        path = save_viewer(
-            folder / f"{prefix}viewer.html", panoramas.depth, settings.height, title, panoramas.near
-        )
-        written.append(path)
-    if "npz" in settings.outputs:
-        path = folder / f"{prefix}depth.npz"
-        with atomic_write(path) as temporary:
+        written.append(save_viewer(paths["viewer"], panoramas.depth, settings.height, title, panoramas.near))
+    if "npz" in paths:
+        with atomic_write(paths["npz"]) as temporary:
             np.savez_compressed(temporary, **arrays_of(panoramas))
-        written.append(path)
+        written.append(paths["npz"])
     return written
 
 

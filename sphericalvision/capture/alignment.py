@@ -130,9 +130,8 @@ def align_rig(predictor: Predictor, frames: Iterable[Mapping[str, Any]]) -> RigT
         >>> from sphericalvision.cameras import ring_rig
         >>> from sphericalvision.scenes import make_scene, render_rig
         >>> from sphericalvision.capture import Predictor
-        >>> rig = ring_rig(3, image_size=(64, 64))
-        >>> predictor = Predictor(rig, method="semi_global", level=4, min_depth=0.55)
-        >>> align_rig(predictor, [render_rig(make_scene("floating", seed=1), rig)]).turned
+        >>> predictor = Predictor(ring_rig(3, image_size=(64, 64)), method="semi_global", level=4, min_depth=0.55)
+        >>> align_rig(predictor, [render_rig(make_scene("floating", seed=1), predictor.rig)]).turned
         ()
     """
     rig = predictor.rig

@@ -154,9 +154,8 @@ class PhotoConsistency:
         >>> from sphericalvision.cameras import ring_rig
         >>> from sphericalvision.scenes import make_scene, render_rig
         >>> from sphericalvision.capture import Predictor
-        >>> rig = ring_rig(4, image_size=(64, 64))
-        >>> predictor = Predictor(rig, method="semi_global", level=4, min_depth=0.55)
-        >>> 0.5 < PhotoConsistency()(predictor(render_rig(make_scene("room", seed=1), rig))) < 1
+        >>> predictor = Predictor(ring_rig(4, image_size=(64, 64)), method="semi_global", level=4, min_depth=0.55)
+        >>> 0.5 < PhotoConsistency()(predictor(render_rig(make_scene("room", seed=1), predictor.rig))) < 1
         True
     """
 

@@ -65,9 +65,8 @@ def save_viewer(
         >>> from sphericalvision.cameras import ring_rig
         >>> from sphericalvision.scenes import make_scene, render_rig
         >>> from sphericalvision.capture import Predictor
-        >>> rig = ring_rig(4, image_size=(64, 64))
-        >>> predictor = Predictor(rig, method="semi_global", level=4, min_depth=0.5)
-        >>> save_viewer("room.html", predictor(render_rig(make_scene("room", seed=1), rig)), height=32).name
+        >>> predictor = Predictor(ring_rig(4, image_size=(64, 64)), method="semi_global", level=4, min_depth=0.5)
+        >>> save_viewer("room.html", predictor(render_rig(make_scene("room", seed=1), predictor.rig)), height=32).name
         'room.html'
     """
     page = Timeline(height, title, near, MOST_POINTS, max(height, min(rows_like(depth.rig), MOST_ROWS)))
@@ -91,11 +90,10 @@ class Timeline:
         >>> from sphericalvision.cameras import ring_rig
         >>> from sphericalvision.scenes import make_scene, render_rig
         >>> from sphericalvision.capture import Predictor
-        >>> rig = ring_rig(4, image_size=(64, 64))
-        >>> predictor = Predictor(rig, method="semi_global", level=4, min_depth=0.5)
+        >>> predictor = Predictor(ring_rig(4, image_size=(64, 64)), method="semi_global", level=4, min_depth=0.5)
         >>> page = Timeline(height=32)
         >>> for seed in (1, 2):
-        ...     page.add(f"room {seed}", predictor(render_rig(make_scene("room", seed=seed), rig)))
+        ...     page.add(f"room {seed}", predictor(render_rig(make_scene("room", seed=seed), predictor.rig)))
         >>> page.save("rooms.html").name, len(page)
         ('rooms.html', 2)
     """

@@ -34,6 +34,7 @@ __all__ = [
     "normalize",
     "safe_hypot",
     "safe_sqrt",
+    "unit_directions",
 ]
 
 
@@ -69,6 +70,19 @@ def from_components(*parts: Float[Tensor, " ..."]) -> Float[Tensor, "*batch n"]:
     for index, part in enumerate(parts):
         vectors[..., index] = part
     return vectors
+
+
+def unit_directions(
+    x: Float[Tensor, "*#batch"], y: Float[Tensor, "*#batch"], z: Float[Tensor, "*#batch"]
+) -> Float[Tensor, "*batch 3"]:
+    """(x, y, z), each (*) and not all 0, scaled to unit length, (*, 3).
+
+    Examples:
+        >>> unit_directions(torch.tensor(0.0), torch.tensor(0.0), torch.tensor(2.0)).tolist()
+        [0.0, 0.0, 1.0]
+    """
+    shrink = torch.addcmul(torch.addcmul(x * x, y, y), z, z).rsqrt()
+    return from_components(x * shrink, y * shrink, z * shrink)
 
 
 def broadcast_shapes(*shapes: Sequence[int]) -> torch.Size:

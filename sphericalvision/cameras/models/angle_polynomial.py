@@ -13,15 +13,15 @@ from sphericalvision.cameras.base import Projection, Unprojection
 from sphericalvision.cameras.checks import model_function
 from sphericalvision.cameras.declaration import ANY, ImageSize, Intrinsic, MaxAngle
 from sphericalvision.cameras.fitting import FittedModel, Samples, fitted, solve_linear
-from sphericalvision.cameras.models.image_plane import (
-    PlaneCamera,
-    pixels_from_plane,
-    plane_from_pixels,
-    unit_directions,
-)
+from sphericalvision.cameras.models.image_plane import PlaneCamera, pixels_from_plane, plane_from_pixels
 from sphericalvision.cameras.models.radial_polynomial import _radius, _start
 from sphericalvision.cameras.registry import register_camera
-from sphericalvision.geometry.directions import components, cosine_and_lifted_sinc, lifted_radius
+from sphericalvision.geometry.directions import (
+    components,
+    cosine_and_lifted_sinc,
+    lifted_radius,
+    unit_directions,
+)
 from sphericalvision.geometry.rootfinding import (
     increasing_limit,
     polynomial_value,

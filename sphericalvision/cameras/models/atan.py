@@ -13,14 +13,14 @@ from sphericalvision.cameras.base import Projection, Unprojection
 from sphericalvision.cameras.checks import model_function
 from sphericalvision.cameras.declaration import ImageSize, Intrinsic, MaxAngle
 from sphericalvision.cameras.fitting import fitted, shape_grid
-from sphericalvision.cameras.models.image_plane import (
-    PlaneCamera,
-    pixels_from_plane,
-    plane_from_pixels,
+from sphericalvision.cameras.models.image_plane import PlaneCamera, pixels_from_plane, plane_from_pixels
+from sphericalvision.cameras.registry import register_camera
+from sphericalvision.geometry.directions import (
+    components,
+    cosine_and_lifted_sinc,
+    lifted_radius,
     unit_directions,
 )
-from sphericalvision.cameras.registry import register_camera
-from sphericalvision.geometry.directions import components, cosine_and_lifted_sinc, lifted_radius
 
 __all__ = ["AtanCamera", "project_atan", "unproject_atan"]
 

@@ -20,12 +20,7 @@ from sphericalvision.cameras.fitting import (
     solve_linear,
     with_shapes,
 )
-from sphericalvision.cameras.models.image_plane import (
-    PlaneCamera,
-    pixels_from_plane,
-    plane_from_pixels,
-    unit_directions,
-)
+from sphericalvision.cameras.models.image_plane import PlaneCamera, pixels_from_plane, plane_from_pixels
 from sphericalvision.cameras.models.plane_distortion import (
     distort_inside,
     fold_radius,
@@ -34,7 +29,7 @@ from sphericalvision.cameras.models.plane_distortion import (
 )
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError
-from sphericalvision.geometry.directions import components
+from sphericalvision.geometry.directions import components, unit_directions
 
 __all__ = ["BrownConradyCamera", "project_brown_conrady", "unproject_brown_conrady"]
 

@@ -13,15 +13,10 @@ from sphericalvision.cameras.base import Projection, Unprojection
 from sphericalvision.cameras.checks import model_function
 from sphericalvision.cameras.declaration import ImageSize, Intrinsic, MaxAngle
 from sphericalvision.cameras.fitting import FittedModel, Samples, fitted, solve_linear, with_shapes
-from sphericalvision.cameras.models.image_plane import (
-    PlaneCamera,
-    pixels_from_plane,
-    plane_from_pixels,
-    unit_directions,
-)
+from sphericalvision.cameras.models.image_plane import PlaneCamera, pixels_from_plane, plane_from_pixels
 from sphericalvision.cameras.models.ocam import _inverse_table, _scale_by_root
 from sphericalvision.cameras.registry import register_camera
-from sphericalvision.geometry.directions import components
+from sphericalvision.geometry.directions import components, unit_directions
 from sphericalvision.geometry.rootfinding import increasing_limit, polynomial, with_leading_one
 
 __all__ = ["DivisionCamera", "project_division", "unproject_division"]

@@ -11,14 +11,9 @@ from sphericalvision.cameras.base import Projection, Unprojection
 from sphericalvision.cameras.checks import model_function
 from sphericalvision.cameras.declaration import ImageSize, Intrinsic, MaxAngle
 from sphericalvision.cameras.fitting import fitted, shape_grid
-from sphericalvision.cameras.models.image_plane import (
-    PlaneCamera,
-    pixels_from_plane,
-    plane_from_pixels,
-    unit_directions,
-)
+from sphericalvision.cameras.models.image_plane import PlaneCamera, pixels_from_plane, plane_from_pixels
 from sphericalvision.cameras.registry import register_camera
-from sphericalvision.geometry.directions import components, safe_sqrt
+from sphericalvision.geometry.directions import components, safe_sqrt, unit_directions
 
 __all__ = ["ExtendedUnifiedCamera", "project_extended_unified", "unproject_extended_unified"]
 

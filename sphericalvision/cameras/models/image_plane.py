@@ -11,7 +11,7 @@ from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.cameras.declaration import Intrinsic
 from sphericalvision.geometry.directions import components, from_components
 
-__all__ = ["PlaneCamera", "pixels_from_plane", "plane_from_pixels", "unit_directions"]
+__all__ = ["PlaneCamera", "pixels_from_plane", "plane_from_pixels"]
 
 
 class PlaneCamera(Camera):
@@ -72,16 +72,3 @@ def plane_from_pixels(
     """
     (u, v), (cu, cv) = components(pixels), principal_point.unbind(-1)
     return (u - cu) / focal_length[..., 0], (v - cv) / focal_length[..., -1]
-
-
-def unit_directions(
-    x: Float[Tensor, "*#batch"], y: Float[Tensor, "*#batch"], z: Float[Tensor, "*#batch"]
-) -> Float[Tensor, "*batch 3"]:
-    """(x, y, z), each (*) and not all 0, scaled to unit length, (*, 3).
-
-    Examples:
-        >>> unit_directions(torch.tensor(0.0), torch.tensor(0.0), torch.tensor(2.0)).tolist()
-        [0.0, 0.0, 1.0]
-    """
-    shrink = torch.addcmul(torch.addcmul(x * x, y, y), z, z).rsqrt()
-    return from_components(x * shrink, y * shrink, z * shrink)

@@ -18,14 +18,14 @@ from sphericalvision.cameras.base import Projection, Unprojection
 from sphericalvision.cameras.checks import model_function
 from sphericalvision.cameras.declaration import ImageSize, Intrinsic, MaxAngle, OptionalIntrinsic
 from sphericalvision.cameras.fitting import FittedModel, Samples, fitted, solve_linear, with_shapes
-from sphericalvision.cameras.models.image_plane import (
-    PlaneCamera,
-    pixels_from_plane,
-    plane_from_pixels,
+from sphericalvision.cameras.models.image_plane import PlaneCamera, pixels_from_plane, plane_from_pixels
+from sphericalvision.cameras.registry import register_camera
+from sphericalvision.geometry.directions import (
+    components,
+    cosine_and_lifted_sinc,
+    lifted_radius,
     unit_directions,
 )
-from sphericalvision.cameras.registry import register_camera
-from sphericalvision.geometry.directions import components, cosine_and_lifted_sinc, lifted_radius
 from sphericalvision.geometry.rootfinding import (
     InverseTable,
     increasing_limit,

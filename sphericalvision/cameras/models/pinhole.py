@@ -14,15 +14,10 @@ from sphericalvision.cameras.base import Projection, Unprojection
 from sphericalvision.cameras.checks import model_function
 from sphericalvision.cameras.declaration import ImageSize, MaxAngle, OptionalIntrinsic
 from sphericalvision.cameras.fitting import PLANE_REACH, fitted, shape_grid
-from sphericalvision.cameras.models.image_plane import (
-    PlaneCamera,
-    pixels_from_plane,
-    plane_from_pixels,
-    unit_directions,
-)
+from sphericalvision.cameras.models.image_plane import PlaneCamera, pixels_from_plane, plane_from_pixels
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_type
-from sphericalvision.geometry.directions import components
+from sphericalvision.geometry.directions import components, unit_directions
 
 __all__ = ["PinholeCamera", "project_pinhole", "unproject_pinhole"]
 

@@ -13,10 +13,15 @@ from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.cameras.checks import model_function
 from sphericalvision.cameras.declaration import ANY, ImageSize, Intrinsic, MaxAngle
 from sphericalvision.cameras.fitting import FittedModel, Samples, fitted, solve_linear
-from sphericalvision.cameras.models.image_plane import unit_directions
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError
-from sphericalvision.geometry.directions import components, cosine_and_lifted_sinc, holds, lifted_radius
+from sphericalvision.geometry.directions import (
+    components,
+    cosine_and_lifted_sinc,
+    holds,
+    lifted_radius,
+    unit_directions,
+)
 from sphericalvision.geometry.rootfinding import (
     increasing_limit,
     polynomial,

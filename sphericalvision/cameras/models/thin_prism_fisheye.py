@@ -22,12 +22,7 @@ from sphericalvision.cameras.base import Projection, Unprojection
 from sphericalvision.cameras.checks import model_function
 from sphericalvision.cameras.declaration import Choice, ImageSize, Intrinsic, MaxAngle
 from sphericalvision.cameras.fitting import FittedModel, Samples, fitted, with_shapes
-from sphericalvision.cameras.models.image_plane import (
-    PlaneCamera,
-    pixels_from_plane,
-    plane_from_pixels,
-    unit_directions,
-)
+from sphericalvision.cameras.models.image_plane import PlaneCamera, pixels_from_plane, plane_from_pixels
 from sphericalvision.cameras.models.kannala_brandt import (
     radial_solution,
     tabulated,
@@ -42,6 +37,7 @@ from sphericalvision.geometry.directions import (
     cosine_and_lifted_sinc,
     from_components,
     lifted_radius,
+    unit_directions,
 )
 from sphericalvision.geometry.rootfinding import polynomial, with_leading_one
 

@@ -11,16 +11,11 @@ from sphericalvision.cameras.base import Projection, Unprojection
 from sphericalvision.cameras.checks import model_function
 from sphericalvision.cameras.declaration import ImageSize, Intrinsic, MaxAngle, OptionalIntrinsic
 from sphericalvision.cameras.fitting import fitted, shape_grid
-from sphericalvision.cameras.models.image_plane import (
-    PlaneCamera,
-    pixels_from_plane,
-    plane_from_pixels,
-    unit_directions,
-)
+from sphericalvision.cameras.models.image_plane import PlaneCamera, pixels_from_plane, plane_from_pixels
 from sphericalvision.cameras.models.plane_distortion import distort_inside, fold_radius, undistort
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError
-from sphericalvision.geometry.directions import components, safe_sqrt
+from sphericalvision.geometry.directions import components, safe_sqrt, unit_directions
 
 __all__ = ["UnifiedCamera", "project_unified", "unproject_unified"]
 

@@ -133,23 +133,7 @@ _BY_NUMBER = {number: (name, _parameters(name)) for name, (number, _) in MODELS.
 
 def cameras_in(path: Path) -> list[CameraRecord]:
     """Of ``cameras.txt`` or ``cameras.bin``."""
-    if path.suffix == ".bin":
-        return _Bytes(path).records(_binary_camera)
-    cameras = []
-    for line, words in data_lines(path):
-        where = f"{path}, line {line}"
-        if len(words) < 4:
-            raise FileFormatError(
-                f"{where}: expected CAMERA_ID MODEL WIDTH HEIGHT and parameters, got {' '.join(words)}"
-            )
-        if not re.fullmatch(r"\d{1,18}", words[0]):
-            raise FileFormatError(f"{where}: expected a camera number of its own first, got {words[0]!r}")
-        if words[1] not in MODELS:
-            raise FileFormatError(f"{where}: expected a model among {', '.join(MODELS)}, got {words[1]}")
-        names = _parameters(words[1])
-        parameters = numbers(words[4:], f"{where}, {words[1]} ({' '.join(names)})", len(names))
-        cameras.append(CameraRecord(where, int(words[0]), words[1], words[2:4], parameters))
-    return cameras
+    return _records(path, _text_camera, _binary_camera)
 
 
 def images_in(path: Path) -> list[ImageRecord]:
@@ -187,37 +171,56 @@ def images_in(path: Path) -> list[ImageRecord]:
 
 def rigs_in(path: Path) -> list[RigRecord]:
     """Of ``rigs.txt`` or ``rigs.bin``."""
+    return _records(path, _text_rig, _binary_rig)
+
+
+def _records(
+    path: Path, of_line: Callable[[list[str], str], Record], of_bytes: Callable[[_Bytes], Record]
+) -> list[Record]:
+    """Of a text with one a line, or of a binary file."""
     if path.suffix == ".bin":
-        return _Bytes(path).records(_binary_rig)
-    rigs = []
-    for line, words in data_lines(path):
-        where = f"{path}, line {line}"
-        words = list(words)
+        return _Bytes(path).records(of_bytes)
+    return [of_line(words, f"{path}, line {line}") for line, words in data_lines(path)]
 
-        def take(count: int, what: str, words: list[str] = words, where: str = where) -> list[str]:
-            if len(words) < count:
-                raise FileFormatError(f"{where}: expected {what}, the line is too short; is it cut off?")
-            taken, words[:count] = words[:count], []
-            return taken
 
-        rig, count = _ids(take(2, "RIG_ID NUM_SENSORS"), where)
-        reference = SensorRecord("", 0, None)
-        sensors: list[SensorRecord] = []
-        for place in range(min(count, len(words))):
-            type, id = take(2, "SENSOR_TYPE SENSOR_ID")
-            pose = None
-            if place and take(1, "HAS_POSE")[0] == "1":
-                pose = numbers(take(7, "QW QX QY QZ TX TY TZ"), f"{where}, QW QX QY QZ TX TY TZ", 7)
-            if type not in _SENSOR_TYPES:
-                raise FileFormatError(f"{where}: expected {' or '.join(_SENSOR_TYPES)}, got {type!r}")
-            sensor = SensorRecord(type, _ids([id], where)[0], pose)
-            reference, sensors = (reference, [*sensors, sensor]) if place else (sensor, sensors)
-        if count < 1 or len(sensors) + 1 < count or words:
-            raise FileFormatError(
-                f"{where}: announces {count} sensors and has {len(sensors)} and {len(words)} words more; is it cut off?"
-            )
-        rigs.append(RigRecord(where, rig, reference, sensors))
-    return rigs
+def _text_camera(words: list[str], where: str) -> CameraRecord:
+    if len(words) < 4:
+        raise FileFormatError(
+            f"{where}: expected CAMERA_ID MODEL WIDTH HEIGHT and parameters, got {' '.join(words)}"
+        )
+    if not re.fullmatch(r"\d{1,18}", words[0]):
+        raise FileFormatError(f"{where}: expected a camera number of its own first, got {words[0]!r}")
+    if words[1] not in MODELS:
+        raise FileFormatError(f"{where}: expected a model among {', '.join(MODELS)}, got {words[1]}")
+    names = _parameters(words[1])
+    parameters = numbers(words[4:], f"{where}, {words[1]} ({' '.join(names)})", len(names))
+    return CameraRecord(where, int(words[0]), words[1], words[2:4], parameters)
+
+
+def _text_rig(words: list[str], where: str) -> RigRecord:
+    def take(count: int, what: str) -> list[str]:
+        if len(words) < count:
+            raise FileFormatError(f"{where}: expected {what}, the line is too short; is it cut off?")
+        taken, words[:count] = words[:count], []
+        return taken
+
+    rig, count = _ids(take(2, "RIG_ID NUM_SENSORS"), where)
+    reference = SensorRecord("", 0, None)
+    sensors: list[SensorRecord] = []
+    for place in range(min(count, len(words))):
+        type, id = take(2, "SENSOR_TYPE SENSOR_ID")
+        pose = None
+        if place and take(1, "HAS_POSE")[0] == "1":
+            pose = numbers(take(7, "QW QX QY QZ TX TY TZ"), f"{where}, QW QX QY QZ TX TY TZ", 7)
+        if type not in _SENSOR_TYPES:
+            raise FileFormatError(f"{where}: expected {' or '.join(_SENSOR_TYPES)}, got {type!r}")
+        sensor = SensorRecord(type, _ids([id], where)[0], pose)
+        reference, sensors = (reference, [*sensors, sensor]) if place else (sensor, sensors)
+    if count < 1 or len(sensors) + 1 < count or words:
+        raise FileFormatError(
+            f"{where}: announces {count} sensors and has {len(sensors)} and {len(words)} words more; is it cut off?"
+        )
+    return RigRecord(where, rig, reference, sensors)
 
 
 def _ids(words: list[str], where: str) -> list[int]:

@@ -26,9 +26,11 @@ from sphericalvision.io.images import write_image
 from sphericalvision.recipes.predict import main
 rig = ring_rig(4, 0.2, image_size=(64, 64))
 save_rig(rig, "rig.yaml")
+torch.manual_seed(0)
+images = {name: torch.rand(3, 64, 64) for name in rig.names}  # of all frames, so that all take the same ways
 for frame in range(int(sys.argv[1])):
     for name in rig.names:
-        write_image(f"{frame}_{name}.png", torch.rand(3, 64, 64))
+        write_image(f"{frame}_{name}.png", images[name])
 calls = Counter()
 def seen(frame, event, arg):
     if event == "call" and frame.f_code.co_name != "<module>":

@@ -23,14 +23,11 @@ from sphericalvision.crown import (
 from sphericalvision.crown.hexpad import hex_pad
 from sphericalvision.icosphere import icosphere_neighbors, icosphere_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.topology import coarse_vertex_ids, vertex_at
+from tests.values import random_values
 
 # The gap and where the ring starts, as the documentation states it for valence five: (gap, tap, towards).
 CHART_GAPS = {"north": (1, 2, "A0"), "A": (0, 5, "north"), "B": (2, 3, "south"), "south": (4, 5, "B1")}
 NORTH_GAPS = {"north": (5, 2, "A0"), "A": (2, 5, "north"), "B": (5, 2, "south"), "south": (5, 2, "B3")}
-
-
-def random_values(*shape: int, seed: int = 1) -> Tensor:
-    return torch.randn(shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
 
 
 def round_from_inside(neighbors: list[int], start: int) -> list[int]:

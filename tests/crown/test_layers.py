@@ -23,14 +23,11 @@ from sphericalvision.crown import (
 )
 from sphericalvision.crown.layout import crown_map
 from sphericalvision.icosphere import Icosphere, icosphere_neighbors, num_icosphere_vertices
+from tests.values import random_values
 
 # Neighbours in the order of the taps 0 to 5, as (row, column) steps in each kind of rectangle.
 COL_STEPS = ((0, -1), (1, -1), (1, 0), (0, 1), (-1, 1), (-1, 0))
 ROW_STEPS = ((-1, 0), (0, -1), (1, -1), (1, 0), (0, 1), (-1, 1))
-
-
-def random_values(*shape: int) -> Tensor:
-    return torch.randn(shape, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
 
 
 def loop_convolution(rectangles: Tensor, weight: Tensor, steps: tuple[tuple[int, int], ...]) -> Tensor:

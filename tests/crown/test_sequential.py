@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from sphericalvision.crown import (
     CrownAvgPool2d,
@@ -29,10 +29,7 @@ from sphericalvision.crown import (
 )
 from sphericalvision.icosphere import IcospherePool, IcosphereUpsample, icosphere_neighbors
 from sphericalvision.icosphere.topology import coarse_vertex_ids
-
-
-def random_values(*shape: int) -> Tensor:
-    return torch.randn(shape, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+from tests.values import random_values
 
 
 def test_layers_in_a_row_are_the_functions_one_after_the_other() -> None:

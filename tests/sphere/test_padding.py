@@ -21,10 +21,7 @@ from sphericalvision.sphere import (
     make_seamless,
 )
 from sphericalvision.sphere.grids.cube_layouts import world_from_cube_face
-
-
-def random_values(*shape: int) -> Tensor:
-    return torch.randn(shape, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+from tests.values import random_values
 
 
 @pytest.mark.parametrize("size", [(4, 8), (5, 10), (4, 7)])

@@ -20,10 +20,7 @@ from sphericalvision.sphere import (
 )
 from sphericalvision.sphere.convolutions import sphere_conv
 from sphericalvision.sphere.fast import row_sums
-
-
-def random_values(*shape: int) -> Tensor:
-    return torch.randn(shape, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+from tests.values import random_values
 
 
 def gnomonic_convolution(

@@ -30,28 +30,22 @@ def add_scale_bar(
     color_map: str,
     ticks: Sequence[tuple[float, str]],
     label: str,
-    title: str | None = None,
     faded: bool = False,
 ) -> Picture:
-    """Put a colour bar below a picture and a title above it; the picture's pixels stay as they are.
+    """Put a colour bar below a picture, whose pixels stay as they are; ``sheet`` puts a title above it.
 
     Args:
         picture: uint8 ``(h, w, 3)``; narrow ones are enlarged by a whole factor, without smoothing.
         color_map: name of a colour map; see ``colorize``.
         ticks: position in [0, 1] along the colour map, and text.
         label: quantity and unit.
-        title: text above the picture.
         faded: whether the colours of the bar fade to grey downwards, as those of ``fade`` do.
 
     Raises:
         ShapeError: the picture is not uint8 ``(h, w, 3)``.
     """
     picture = _enlarge(picture)
-    width = picture.shape[1]
-    rows = [picture, _bar(width, color_map, tuple(ticks), label, faded)]
-    if title:
-        rows.insert(0, _text_row(title, width))
-    return np.ascontiguousarray(np.concatenate(rows))
+    return np.concatenate((picture, _bar(picture.shape[1], color_map, tuple(ticks), label, faded)))
 
 
 @lru_cache(maxsize=16)  # frames of a video share theirs, which takes longer to draw than a panorama

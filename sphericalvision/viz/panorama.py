@@ -39,7 +39,6 @@ def depth_panorama(
     depth: Float[Tensor, "H W"],
     min_depth: float,
     max_depth: float = math.inf,
-    title: str | None = None,
     strength: Float[Tensor, "H W"] | None = None,
 ) -> Picture:
     """Colour a depth panorama and put a scale in metres below it.
@@ -49,7 +48,6 @@ def depth_panorama(
             (grey).
         min_depth: metres, the near (red) end of the scale.
         max_depth: metres, the far (blue) end; the scale is even in inverse depth, so infinity is a good end.
-        title: text above the picture.
         strength: ``(H, W)`` 0 to 1: saturation of the colour of each depth; the less, the greyer.
             ``confidence_strength`` computes it from a confidence.
 
@@ -64,9 +62,9 @@ def depth_panorama(
     ticks = depth_ticks(min_depth, max_depth)
     colors = depth_to_color(depth, min_depth, max_depth)
     if strength is None:
-        return add_scale_bar(colors, DEPTH_MAP, ticks, "depth (m)", title)
+        return add_scale_bar(colors, DEPTH_MAP, ticks, "depth (m)")
     label = "depth (m); the greyer, the less sure"
-    return add_scale_bar(fade(colors, strength), DEPTH_MAP, ticks, label, title, faded=True)
+    return add_scale_bar(fade(colors, strength), DEPTH_MAP, ticks, label, faded=True)
 
 
 def confidence_strength(
@@ -89,9 +87,7 @@ _UNSURE, _SURE = 0.4, 0.9
 """Confidence at which it keeps the least, and all: nearly everything that networks see well has more than 0.9."""
 
 
-def error_panorama(
-    error: Float[Tensor, "H W"], max_error: float, label: str = "error (% of N)", title: str | None = None
-) -> Picture:
+def error_panorama(error: Float[Tensor, "H W"], max_error: float, label: str = "error (% of N)") -> Picture:
     """Colour a panorama of errors and put a scale below it.
 
     Args:
@@ -99,7 +95,6 @@ def error_panorama(
             is unknown (grey), the sign does not count.
         max_error: the bright end of the scale; larger errors look like it.
         label: quantity and unit below the scale.
-        title: text above the picture.
 
     Returns:
         uint8 ``(H + margins, W, 3)``, RGB.
@@ -110,7 +105,7 @@ def error_panorama(
     """
     _check_panorama("error", error)
     ticks = [(k / 5, f"{max_error * k / 5:.3g}") for k in range(5)] + [(1.0, f"≥ {max_error:.3g}")]
-    return add_scale_bar(error_to_color(error, max_error), ERROR_MAP, ticks, label, title)
+    return add_scale_bar(error_to_color(error, max_error), ERROR_MAP, ticks, label)
 
 
 def icosphere_to_panorama(values: Float[Tensor, "*batch V"], height: int) -> Float[Tensor, "*batch H W"]:

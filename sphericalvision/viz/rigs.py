@@ -33,7 +33,7 @@ _ROUND = torch.linspace(0, 2 * math.pi, 181, dtype=torch.float64)
 
 
 @torch.no_grad()
-def rig_picture(rig: CameraRig, title: str | None = None) -> Picture:
+def rig_picture(rig: CameraRig) -> Picture:
     """Draw a rig in 3D and, below, from above: positions, axes and fields of view.
 
     In 3D a field of view is the curve that its edge draws on a sphere around the camera; wider than 180° it lies behind
@@ -43,7 +43,6 @@ def rig_picture(rig: CameraRig, title: str | None = None) -> Picture:
 
     Args:
         rig: single.
-        title: text above the picture.
 
     Returns:
         uint8 ``(h, w, 3)``, RGB.
@@ -88,7 +87,7 @@ def rig_picture(rig: CameraRig, title: str | None = None) -> Picture:
         plan.annotate(
             name, (float(tip[0]), float(tip[2])), color=color, fontsize=10, ha="center", va="bottom"
         )
-    figure.suptitle(title or f"{len(rig)} cameras, largest baseline {baseline:.3f} m", fontsize=11, y=0.97)
+    figure.suptitle(f"{len(rig)} cameras, largest baseline {baseline:.3f} m", fontsize=11, y=0.97)
     figure.text(0.5, 0.93, "axes: x right (red), y down (green), z ahead (blue)", fontsize=9, ha="center")
     return figure_pixels(figure)
 

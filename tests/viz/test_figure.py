@@ -17,10 +17,10 @@ def noise(height: int, width: int) -> np.ndarray:
 
 def test_a_scale_bar_leaves_the_picture_alone() -> None:
     picture = noise(320, 641)
-    result = add_scale_bar(picture, "turbo", TICKS, "depth (m)", title="depth")
+    result = add_scale_bar(picture, "turbo", TICKS, "depth (m)")
     assert result.shape[1] == 641
-    np.testing.assert_array_equal(result[24:344], picture)
-    bar = result[344:]
+    np.testing.assert_array_equal(result[:320], picture)
+    bar = result[320:]
     left, right = bar[12, 25].astype(int), bar[12, -25].astype(int)
     assert left[2] > left[0]  # far, blue
     assert right[0] > right[2]  # near, red

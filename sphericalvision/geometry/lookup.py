@@ -27,7 +27,7 @@ from sphericalvision.core import (
     check_tensor,
     uses_reference_kernels,
 )
-from sphericalvision.geometry.directions import broadcast_shapes
+from sphericalvision.geometry.directions import broadcast_shapes, components, from_components
 
 __all__ = [
     "ImageLookup",
@@ -284,27 +284,31 @@ class ImageLookup(nn.Module):
         self.edges, self.mode = edges, "bicubic" if cubic else "bilinear"
         # A batch of lookups has places at the edges nearly everywhere: there a panorama is continued by a pixel.
         self.wraps = edges != "border" and not cubic and pixels.ndim > 4
-        last = pixels.new_tensor([image_size[1] - 1, image_size[0] - 1])
-        pixels = torch.where(seen.unsqueeze(-1), pixels, 0.0)
+        height, width = image_size
+        u, v = (torch.where(seen, position, 0.0) for position in components(pixels))
         if edges != "border":
-            pixels = torch.stack((_around(pixels[..., 0], image_size[1]), pixels[..., 1]), -1)
-        if self.wraps:
-            pixels, last = pixels + 1, last + 2
-        # Exactly -1 and 1 at the outermost centres, so that nothing beyond them is ever mixed in.
-        inside = pixels.clamp(torch.zeros_like(last), last)
-        grid = inside * (2 / last.clamp(min=1)) - 1
-        grid = torch.where(seen.unsqueeze(-1), grid, _OUTSIDE)
+            u = _around(u, width)
+        margin = 2 if self.wraps else 0
+        grid = []
+        for position, last in ((u, width - 1 + margin), (v, height - 1 + margin)):
+            # Exactly -1 and 1 at the outermost centres, so that nothing beyond them is ever mixed in.
+            inside = (position + 1 if self.wraps else position).clamp(0, last)
+            grid.append(torch.where(seen, inside * (2 / max(last, 1)) - 1, _OUTSIDE))
         # An image of one row or column has no outside for grid_sample.
-        tables = {"grid": grid, "shares": shares, "seen": seen if 1 in image_size else None}
+        tables = {"grid": from_components(*grid), "shares": shares, "seen": seen if 1 in image_size else None}
         tables |= dict.fromkeys(("across", "across_ids", "across_weights"))
         if (cubic or edges != "border") and not (self.wraps or pixels.is_meta):
             # grid_sample knows no such edges: the few places whose kernel leaves the image are read entry by entry.
             reach = 1 if cubic else 0
-            first = pixels.detach().floor() - reach
-            leaves = ((first < 0) | (first > last - 1 - 2 * reach)).any(-1) & seen
+            leaves = torch.zeros_like(seen)
+            for position, length in ((u, width), (v, height)):
+                first = position.detach().floor() - reach
+                leaves = leaves | (first < 0) | (first > length - 2 - 2 * reach)
+            leaves = leaves & seen
             across = leaves.flatten(-2).reshape(-1, leaves.shape[-2:].numel()).any(0).nonzero()[:, 0]
             if len(across):
-                near, usable = pixels.flatten(-3, -2)[..., across, :], seen.flatten(-2)[..., across]
+                near = from_components(*(position.flatten(-2)[..., across] for position in (u, v)))
+                usable = seen.flatten(-2)[..., across]
                 ids, weights = taps_across_edges(near, image_size, edges, cubic)
                 weights = weights * usable.unsqueeze(-1)
                 tables |= {"across": across, "across_ids": ids, "across_weights": weights}

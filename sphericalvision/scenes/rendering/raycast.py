@@ -106,7 +106,7 @@ def first_hits(primitives: Primitives, rays: RayPackets) -> tuple[Tensor, Tensor
         # hold such a ray take this detour.
         if len(inside := pairs.near.nonzero()[:, 0]):
             first, last = enter.index_select(0, inside), leave.index_select(0, inside)
-            enter[inside] = torch.where(first > NEAREST, first, last)
+            enter.index_copy_(0, inside, torch.where(first > NEAREST, first, last))
         # A ray that leaves before it enters misses. By however little it does: times HUGE (1e30) that is farther than
         # FAR (1e18), where no hit is, and 0 stays 0 for a hit. This saves a comparison and a choice for each pair.
         miss = enter.clamp(min=NEAREST).sub_(leave).clamp_(min=0)
@@ -149,7 +149,7 @@ def blocked(primitives: Primitives, rays: RayPackets, limit: Tensor, own: Tensor
             last = leave.index_select(0, inside)
             behind = torch.minimum(last - NEAREST, end.index_select(0, inside) - last)
             ahead = enter.index_select(0, inside) > NEAREST
-            shared[inside] = torch.where(ahead, shared.index_select(0, inside), behind)
+            shared.index_copy_(0, inside, torch.where(ahead, shared.index_select(0, inside), behind))
         most.scatter_reduce_(0, pairs.packet[:, None].expand_as(shared), shared, "amax")
     return most >= 0
 

@@ -126,9 +126,10 @@ def _surfaces(
     direction, rows = rays.direction.flatten(1), row.flatten()
     normal, uv, inner = normals_and_uv(scene.primitives, position.flatten(1), direction, rows)
     light, glow = _albedo(table, uv, normal, direction, rows, (distance * spread).flatten())
-    side = torch.where(inner.view_as(row), -1 - row, row)
+    side = row ^ -inner.view_as(row).long()  # -1 - row on the inner side
     arriving = irradiance(scene, SurfaceSamples(position, normal.view_as(position), side))
-    light.mul_(torch.where(glow > 0, glow, arriving.flatten(1)))
+    # A weight of 0 or 1 makes `lerp` a choice, which on a CPU is faster than `where`.
+    light.mul_(torch.lerp(arriving.flatten(1), glow.expand_as(light), (glow > 0).to(glow)))
     if bounces and bool((table.mirror > 0).any()):
         glossy = (table.mirror > 0).index_select(0, rows).logical_and_(met.flatten()).nonzero()[:, 0]
         if len(glossy):

@@ -188,7 +188,8 @@ def _pictures(
             light = _exposed(scene, pose[:3, 3], directions, spread).clamp_(max=4)
             # Squares at edges hold pixels twice, with the same light.
             values.scatter_(1, pixels.flatten().expand(3, -1), light.flatten(1))
-        total.addcmul_(sample, valid.to(sample))  # a pixel that this one misses still has the light of the last
+        # A pixel that this sample misses still has the light of the last.
+        total.addcmul_(sample, valid.to(sample))
         count += valid
     picture = _develop(total / count.clamp(min=1))
     return picture.view(-1, 3, height, width)

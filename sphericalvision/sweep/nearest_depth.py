@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 __all__ = ["nearest_depth"]
 
-ROUNDS = 3
+ROUNDS, HYPOTHESES, SURE = 3, 32, 0.6
+"""Of sweeps; of each sweep; the confidence above which an answer counts."""
 
 
 @torch.no_grad()
@@ -29,8 +30,6 @@ def nearest_depth(
     seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
     quantile: float = 0.005,
     margin: float = 0.65,
-    confidence: float = 0.6,
-    num_hypotheses: int = 32,
 ) -> float:
     """Return the depth in metres that a sweep of these images should begin with, from a few quick sweeps.
 
@@ -45,8 +44,6 @@ def nearest_depth(
         seen: ``([B,] n, V_image)`` bool, True where the images show something.
         quantile: share of what is seen that may be nearer: a few false matches always are.
         margin: of that depth which is returned.
-        confidence: above which an answer counts.
-        num_hypotheses: of each sweep.
 
     Raises:
         ArgumentError: if all cameras are in one place, or ``margin`` or ``quantile`` are not between 0 and 1.
@@ -73,10 +70,10 @@ def nearest_depth(
     nearest = least = 1.2 * radius
     for _ in range(ROUNDS):
         index, sure, both = semi_global_sweep(
-            sphere_images, rig, num_hypotheses, nearest, level=level, substeps=1, seen=seen
+            sphere_images, rig, HYPOTHESES, nearest, level=level, substeps=1, seen=seen
         )
-        depths = depth_from_index(index, num_hypotheses, nearest)
-        certain, seen_twice = depths[both & (sure > confidence)], depths[both]
+        depths = depth_from_index(index, HYPOTHESES, nearest)
+        certain, seen_twice = depths[both & (sure > SURE)], depths[both]
         if not len(certain):
             break
         # A bare floor is nowhere sure, and still there: what is merely seen counts, with more of it left out.

@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hydra composes a configuration once a process: tests ask for the same ones hundreds of times.
 
-What a file says, which files a command and its options of groups combine, and what these say together, is kept. Values
-of a command line are set anew each time. Nothing is kept of folders or other packages, whose files a test may change.
+What a file says, which files a command and its options of groups combine, and what these say together, is kept, and
+which packages are installed. Values of a command line are set anew each time. Nothing is kept of folders or other
+packages, whose files a test may change.
 """
 
 from __future__ import annotations
 
 import pickle
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any
 
 from hydra._internal import config_loader_impl
@@ -17,12 +19,14 @@ from hydra._internal.defaults_list import DefaultsList, Overrides
 from hydra._internal.sources_registry import SourcesRegistry
 from hydra.core.plugins import Plugins
 
+from sphericalvision.recipes.app import running
+
 Plugins.instance()  # which defines the classes of sources anew
 PACKAGES, REGISTERED = map(SourcesRegistry.instance().resolve, ("pkg", "structured"))
 load_config = PACKAGES.load_config
 create_defaults_list = config_loader_impl.create_defaults_list
 compose_defaults = ConfigLoaderImpl._compose_config_from_defaults_list
-cache: dict[str, bytes] = {}
+pickles: dict[str, bytes] = {}
 
 
 def _once(sources: Sequence[Any], key: object, make: Callable[[], Any]) -> Any:
@@ -31,9 +35,9 @@ def _once(sources: Sequence[Any], key: object, make: Callable[[], Any]) -> Any:
     if any(place and not place.startswith(("sphericalvision.conf", "hydra.conf")) for place in places):
         return make()
     key = repr((places, key))
-    if key not in cache:
-        cache[key] = pickle.dumps(make())
-    return pickle.loads(cache[key])
+    if key not in pickles:
+        pickles[key] = pickle.dumps(make())
+    return pickle.loads(pickles[key])
 
 
 def _load_config(source: Any, config_path: str) -> Any:
@@ -66,3 +70,4 @@ def install() -> None:
     config_loader_impl.create_defaults_list = _defaults_list
     ConfigLoaderImpl._compose_config_from_defaults_list = _composed
     REGISTERED.__deepcopy__ = lambda source, memo: source  # it holds all that plugins registered
+    running.entry_points = cache(running.entry_points)

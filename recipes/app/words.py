@@ -9,6 +9,7 @@ import os
 import re
 import shlex
 from collections.abc import Callable, Sequence
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import NoReturn
 
@@ -77,8 +78,11 @@ def quote_paths(words: list[str]) -> list[str]:
         >>> quote_paths(["images=/data/cam{camera}/{frame:05d}.png", "frames=[1,2]"])
         ["images='/data/cam{camera}/{frame:05d}.png'", 'frames=[1,2]']
     """
-    parser = OverridesParser.create()
-    return [_quoted(word, parser) for word in words]
+    matches = [re.match(r"^([\w./@]+)=(.+)$", word, re.DOTALL) for word in words]
+    return [
+        _quoted(match[1], os.path.expanduser(match[2])) if match else word
+        for word, match in zip(words, matches, strict=True)
+    ]
 
 
 def unquote_paths(words: list[str]) -> list[str]:
@@ -98,17 +102,19 @@ def _unquoted(word: str) -> str:
     return f"{match[1]}=" + re.sub(r"(\\+)('|$)", lambda end: end[1][: len(end[1]) // 2] + end[2], match[2])
 
 
-def _quoted(word: str, parser: OverridesParser) -> str:
-    match = re.match(r"^([\w./@]+)=(.+)$", word, re.DOTALL)
-    if match is None:
-        return word
-    value = os.path.expanduser(match[2])
+@lru_cache(maxsize=256)  # words are quoted where a command begins and where it is taken apart
+def _quoted(key: str, value: str) -> str:
     try:
-        parser.parse_override(f"{match[1]}={value}").value()
-        return f"{match[1]}={value}"
+        _parser().parse_override(f"{key}={value}").value()
+        return f"{key}={value}"
     except HydraException:
         escaped = re.sub(r"(\\*)('|$)", lambda end: end[1] * 2 + (r"\'" if end[2] else ""), value)
-        return f"{match[1]}='{escaped}'"
+        return f"{key}='{escaped}'"
+
+
+@cache
+def _parser() -> OverridesParser:
+    return OverridesParser.create()
 
 
 def resume_command(last: Path, max_steps: int | None = None) -> str:

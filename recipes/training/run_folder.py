@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import copy
+import io
 import math
 import os
 import shutil
@@ -12,6 +13,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
+from functools import lru_cache
 from pathlib import Path
 from typing import IO, Any
 
@@ -159,9 +161,14 @@ def changed_settings(folder: Path, config: DictConfig, leave: Sequence[str] = NO
     path = folder / "config.yaml"
     if not path.is_file():
         return []
-    old, new = flat_settings(OmegaConf.load(path), leave), flat_settings(config, leave)
+    old, new = _written_settings(path.read_text(encoding="utf-8"), tuple(leave)), flat_settings(config, leave)
     keys = [key for key in {**old, **new} if old.get(key) != new.get(key)]
     return [f"{key} was {old.get(key)}, is {new.get(key)}" for key in keys]
+
+
+@lru_cache(maxsize=64)  # a study asks of every training four times whether it is done
+def _written_settings(text: str, leave: tuple[str, ...]) -> dict[str, Any]:
+    return flat_settings(OmegaConf.load(io.StringIO(text)), leave)
 
 
 def flat_settings(config: Any, leave: Sequence[str] = NO_SETTINGS) -> dict[str, Any]:

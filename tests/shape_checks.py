@@ -110,20 +110,23 @@ def holder(kind: type) -> type | None:
     return next((base for base in (Tensor, Mapping, tuple, list) if issubclass(kind, base)), None)
 
 
-def looks(value: Any, deepest: int = 6) -> Any:
-    """All that a check looks at of a value: of tensors kind and shape, of others what they are.
+def looks(values: Iterable[Any], deepest: int = 6) -> list[Any]:
+    """All that a check looks at of values, in a row: of tensors kind and shape, of others what they are.
 
     Lists of damaged files may hold themselves, so there is an end to it. It is asked of every call of the package.
     """
-    kind = type(value)
-    held = holder(kind)
-    if held is None:
-        return kind
-    if held is Tensor:
-        return value.dtype, value.shape
-    if not deepest:
-        return kind
-    return kind, *[looks(part, deepest - 1) for part in (value.values() if held is Mapping else value)]
+    row: list[Any] = []
+    for value in values:
+        kind = type(value)
+        held = holder(kind)
+        if held is Tensor:
+            row += value.dtype, value.shape
+        elif held is None or not deepest:
+            row.append(kind)
+        else:
+            parts = value.values() if held is Mapping else value
+            row += kind, len(value), *looks(parts, deepest - 1)
+    return row
 
 
 class Contract:
@@ -148,7 +151,7 @@ class Contract:
         """Raise ``AnnotationError`` if a call contradicts the annotations."""
         if torch.compiler.is_compiling():
             return
-        call = tuple(kwargs), looks((args, kwargs, result))
+        call = (len(args), *kwargs, *looks((*args, *kwargs.values(), result)))
         if call in self.kept:
             return
         given = self.signature.bind(*args, **kwargs).arguments

@@ -155,7 +155,7 @@ COMPILED = [pytest.param(name, marks=pytest.mark.slow) if name in ALIKE else nam
 
 @pytest.mark.parametrize("name", COMPILED)
 def test_compiles_as_one_graph(name: str) -> None:
-    check_compiled(name, "aot_eager")
+    check_compiled(name, "eager")
 
 
 @pytest.mark.slow

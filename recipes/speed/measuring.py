@@ -45,7 +45,7 @@ __all__ = [
 ]
 
 OURS = "sphericalvision"
-MOST_ROUNDS = 50
+FEWEST_ROUNDS, MOST_ROUNDS = 3, 50
 
 Run = Callable[[], Any]
 
@@ -100,7 +100,9 @@ def measure(comparison: Comparison, seconds: float = 2.0) -> list[Measurement]:
     if unit == "s":
         for run in runs.values():
             run()
-        while len(rounds) < 3 or (len(rounds) < MOST_ROUNDS and np.sum(rounds, 0)[:, 0].max() < seconds):
+        while len(rounds) < FEWEST_ROUNDS or (
+            len(rounds) < MOST_ROUNDS and np.sum(rounds, 0)[:, 0].max() < seconds
+        ):
             rounds.append([_time(run) for run in runs.values()])
     else:
         rounds.append([(float(run()), 0.0) for run in runs.values()])

@@ -78,6 +78,13 @@ def test_stages_in_eval_mode(reference: Any, way: str) -> None:
     torch.testing.assert_close(alone, expected_index[1:], rtol=0, atol=1e-3)
 
 
+# Of plain torch the other tests here say that results are the same, and laws of the crown that gradients are.
+in_double = pytest.mark.parametrize(
+    "way", [WAYS[0], pytest.param("plain", marks=pytest.mark.slow), WAYS[2]], indirect=True
+)
+
+
+@in_double
 @torch.no_grad()
 def test_eval_mode_in_float64(reference: Any, way: str) -> None:
     net = network(reference, DOUBLE).eval()
@@ -88,16 +95,7 @@ def test_eval_mode_in_float64(reference: Any, way: str) -> None:
     )
 
 
-@pytest.mark.parametrize(
-    "way",
-    # of plain torch the other tests here say that results are the same, and laws of the crown that gradients are
-    [
-        "reference",
-        pytest.param("plain", marks=pytest.mark.slow),
-        pytest.param("require", marks=needs_compiler),
-    ],
-    indirect=True,
-)
+@in_double
 def test_a_training_step_in_float64(reference: Any, way: str) -> None:
     """Statistics are those of one camera at a time, in order; gradients agree to seven digits."""
     net = network(reference, DOUBLE).train()

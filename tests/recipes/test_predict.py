@@ -280,6 +280,7 @@ def test_knocked_cameras_are_turned_and_it_is_said(
         f"images={tmp_path}/c/cam{{camera}}/{{frame:05d}}.png",
         "checkpoint=icosweepnet-small",
         "outputs=[npz]",
+        "height=64",
     ]
     rig.to_yaml(tmp_path / "right.yaml")
     wrong.to_yaml(tmp_path / "wrong.yaml")

@@ -21,6 +21,7 @@ from sphericalvision.recipes.commands.predict import PredictConfig, predictor_fo
 from sphericalvision.recipes.speed import cameras as bench_cameras
 from sphericalvision.recipes.speed import frames as bench_frames
 from sphericalvision.recipes.speed import gpu as bench_gpu
+from sphericalvision.recipes.speed import measuring
 from sphericalvision.recipes.speed import networks as bench_networks
 from sphericalvision.recipes.speed.command import measure_speed
 from sphericalvision.recipes.speed.measuring import OURS, Comparison, added_memory, comparison_table, measure
@@ -33,6 +34,11 @@ def config(*overrides: str) -> DictConfig:
     tiny = "settings=[[3,4]]", "feature_channels=2", "image_size=[32,32]", "seconds=1e-9", "num_frames=2"
     small = "convolution_settings=[[3,2]]", "num_points=50", "image_sides=[32]"
     return composed("speed", *tiny, *small, *overrides)
+
+
+@pytest.fixture(autouse=True)
+def one_round(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(measuring, "FEWEST_ROUNDS", 1)
 
 
 HALF = {"precision": "bfloat16"}

@@ -48,14 +48,14 @@ def offering(module: str, group: str) -> object:
 def test_a_broken_format_is_named_once_and_rigs_are_read(
     broken: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    save_rig(ring_rig(2), tmp_path / "rig.yaml")
+    save_rig(ring_rig(2), tmp_path / "rig.json", "colmap")  # the own format asks no other
     monkeypatch.setattr(extensions, "entry_points", offering(f"{broken}:Thing", "sphericalvision.formats"))
     monkeypatch.setattr(formats.FORMATS, "_broken", set())
     with pytest.warns(UserWarning, match=rf"{broken}:Thing.*goes on without"):
-        rig = read_rig(tmp_path / "rig.yaml")
+        rig = read_rig(tmp_path / "rig.json")
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # it is said once
-        assert rig.names == read_rig(tmp_path / "rig.yaml").names == ["cam1", "cam2"]
+        assert rig.names == read_rig(tmp_path / "rig.json").names == ["cam1", "cam2"]
     with pytest.raises(ArgumentError, match="repair or uninstall it"):
         formats.FORMATS.find("broken")
     assert formats.FORMATS.find("native") is not None

@@ -50,6 +50,18 @@ def test_rotation_vector_survives_the_round_trip(generator: torch.Generator) -> 
     torch.testing.assert_close(transform_from_axis_angle(axis_angle, translation), transforms)
 
 
+@pytest.mark.parametrize("vector", [(0.0, 0.0, 0.0), (0.0, 0.0, 1e-4), (3.0, 0.0, 0.0), (0.1, -0.2, 0.3)])
+def test_rotation_vector_and_matrix_have_gradients_everywhere(vector: tuple[float, ...]) -> None:
+    """Those there and back again are one, at no turn and about a single axis as well."""
+    axis_angle = torch.tensor(vector, dtype=torch.float64)
+
+    def there_and_back(vector: torch.Tensor) -> torch.Tensor:
+        return axis_angle_from_transform(transform_from_axis_angle(vector, torch.zeros(3).double()))[0]
+
+    slopes = torch.autograd.functional.jacobian(there_and_back, axis_angle)
+    torch.testing.assert_close(slopes, torch.eye(3).double(), atol=1e-6, rtol=0)
+
+
 def test_inverse_is_the_matrix_inverse(generator: torch.Generator) -> None:
     transforms = random_transforms(generator, 2, 3)
     torch.testing.assert_close(invert_transform(transforms), torch.linalg.inv(transforms))

@@ -133,7 +133,7 @@ def test_a_compiler_that_hangs_is_left_alone(
 def test_a_child_does_not_wait_for_the_thread_of_its_parent(
     compiler: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    compiler.write_text('#!/bin/sh\n[ "$1" = --version ] && echo x && exit 0\nsleep 3\nexit 1\n')
+    compiler.write_text('#!/bin/sh\n[ "$1" = --version ] && echo x && exit 0\nsleep 1.5\nexit 1\n')
     monkeypatch.setattr(build, "PATIENCE", 0.0)
     build.operators_ready("auto")
     build.operators_ready("auto")

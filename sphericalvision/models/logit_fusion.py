@@ -22,6 +22,7 @@ __all__ = [
     "SweepClues",
     "agreement",
     "at_index",
+    "best_mode",
     "between_hypotheses",
     "tried_index",
     "two_modes",
@@ -137,15 +138,15 @@ class LogitFusion(nn.Module):
         #: Logarithms of what costs and prior are multiplied with everywhere.
         self.sharpness = nn.Parameter(torch.tensor([math.log(4.0), 0.0]))
 
-    def start(self, clues: SweepClues, prior: Float[Tensor, "B N V"]) -> Float[Tensor, "B V"]:
-        """The index ``(B, V)`` that the plain sum of both sources says."""
+    def start(self, clues: SweepClues, prior: Float[Tensor, "B M V"]) -> Float[Tensor, "B V"]:
+        """The index ``(B, V)`` that the plain sum of both sources says; arguments as of ``forward``."""
         cost_weight, prior_weight = self.sharpness.detach().exp()
-        return two_modes(prior_weight * between_hypotheses(prior) - cost_weight * clues.cost)[0]
+        return best_mode(prior_weight * prior - cost_weight * clues.cost)
 
     def forward(
         self,
         clues: SweepClues,
-        prior: Float[Tensor, "B N V"],
+        prior: Float[Tensor, "B M V"],
         start: Float[Tensor, "B V"],
         appearance: AppearanceAtDepth,
         up: Float[Tensor, " V"],
@@ -156,7 +157,7 @@ class LogitFusion(nn.Module):
 
         Args:
             clues: of the sweep.
-            prior: ``(B, N, V)`` its logarithms of probabilities at the vertices of the costs.
+            prior: ``(B, M, V)`` its logarithms of probabilities, at the costs' vertices and ``between_hypotheses``.
             start: ``(B, V)`` as the method of that name has it.
             appearance: what cameras see there, K = 1.
             up: ``(V,)`` the upward coordinate of vertices.
@@ -174,7 +175,7 @@ class LogitFusion(nn.Module):
             rig_size.clamp(max=2)[:, None] * ones,
             2 * color.mean(1).abs(),
         )
-        prior_clue = prior.clamp(min=PRIOR_FLOOR) / 4
+        prior_clue = prior[:, ::2].clamp(min=PRIOR_FLOOR) / 4
         entries = (clues.cost, clues.best, clues.mean, prior_clue, clues.cameras / 4, color)
         values = self.entry(torch.cat((*entries, torch.stack(numbers, 1)), 1))
         if hint is not None:
@@ -183,7 +184,7 @@ class LogitFusion(nn.Module):
         values = self.unet(values)
         residual, gates, state = self.exit(values).split(self.sizes, 1)
         cost_weight, prior_weight = self._weights(gates)
-        logits = prior_weight * between_hypotheses(prior) - cost_weight * clues.cost + STRENGTH * residual
+        logits = prior_weight * prior - cost_weight * clues.cost + STRENGTH * residual
         if hint is None:
             return FusedLogits(logits, state)
         trust = self._trust(hint, hint_clues, logits.detach(), clues.cameras.amax(1) >= 2)
@@ -193,7 +194,7 @@ class LogitFusion(nn.Module):
     def _hint_clues(clues: SweepClues, prior: Tensor, start: Tensor, hint: HintedIndex) -> Tensor:
         """What speaks for and against a hint ``(B, 6, V)``; 0 where there is none."""
         cost, best = (at_index(values, hint.index) for values in (clues.cost, clues.best))
-        likely = at_index(between_hypotheses(prior), hint.index)
+        likely = at_index(prior, hint.index)
         difference = ((hint.index - start) / 4).clamp(-2, 2)
         values = (torch.ones_like(cost), difference, cost, clues.cost.mean(1), best, likely / 4)
         return torch.stack(values, 1) * hint.weight[:, None]
@@ -314,18 +315,31 @@ def two_modes(logits: Float[Tensor, "B M V"]) -> tuple[Float[Tensor, "B V"], Flo
         >>> [round(index.item(), 3) for index in two_modes(logits)]
         [4.0, 10.0]
     """
-    index = tried_index(logits.shape[1], logits.device)
-
-    def far_from_best(scores: Tensor) -> Tensor:
-        # argmax takes four times as long as max
-        return index.sub(scores.max(1, keepdim=True).indices, alpha=0.5).abs() > REACH / 2
-
-    def expected(far: Tensor) -> Tensor:
-        return (logits.masked_fill(far, -torch.inf).softmax(1) * index).sum(1)
-
     scores = logits.detach()
-    far = far_from_best(scores)
-    return expected(far), expected(far_from_best(scores.masked_fill(~far, -torch.inf)))
+    far = _far_from_best(scores)
+    others = _far_from_best(scores.masked_fill(~far, -torch.inf))
+    return _expected_index(logits, far), _expected_index(logits, others)
+
+
+def best_mode(logits: Float[Tensor, "B M V"]) -> Float[Tensor, "B V"]:
+    """Return the first of ``two_modes``.
+
+    Examples:
+        >>> best_mode(torch.tensor([[[-30.0], [3.0], [-30.0]]]))
+        tensor([[0.5000]])
+    """
+    return _expected_index(logits, _far_from_best(logits.detach()))
+
+
+def _far_from_best(scores: Tensor) -> Tensor:
+    index = tried_index(scores.shape[1], scores.device)
+    # argmax takes four times as long as max
+    return index.sub(scores.max(1, keepdim=True).indices, alpha=0.5).abs() > REACH / 2
+
+
+def _expected_index(logits: Tensor, far: Tensor) -> Tensor:
+    index = tried_index(logits.shape[1], logits.device)
+    return (logits.masked_fill(far, -torch.inf).softmax(1) * index).sum(1)
 
 
 def with_hint(weights: Mapping[str, Tensor], prefix: str = "") -> dict[str, Tensor]:

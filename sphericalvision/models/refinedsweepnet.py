@@ -36,6 +36,7 @@ from sphericalvision.models.logit_fusion import (
     LogitFusion,
     SweepClues,
     at_index,
+    between_hypotheses,
     two_modes,
     with_hint,
 )
@@ -291,7 +292,7 @@ class RefinedSweepNet(DepthNetwork):
         prior = clues.prior.float()
         while prior.shape[-1] < clues.cost.shape[-1]:
             prior = icosphere_upsample(prior)
-        prior = prior.log_softmax(1)
+        prior = between_hypotheses(prior.log_softmax(1))
         start = self.fusion.start(clues, prior)
         size = (offsets.norm(dim=-1).mean(-1) / self.min_depth).expand(images.shape[0])
         appearance = self._appearance(start[:, None], images, seen, offsets)
@@ -303,6 +304,7 @@ class RefinedSweepNet(DepthNetwork):
         views: Sequence[tuple[Tensor, Tensor]],
         offsets: Float[Tensor, "*batch n 3"],
         hints: Sequence[HintedIndex | None] | None = None,
+        modes: tuple[Tensor, Tensor] | None = None,
     ) -> list[RefinedIndex]:
         """Return the answers at all levels from ``coarse_level + 1`` to that of the images, in inner hypotheses.
 
@@ -311,8 +313,9 @@ class RefinedSweepNet(DepthNetwork):
             views: of the method of that name, a step each.
             offsets: of the tables.
             hints: at the levels of the views; none when not given.
+            modes: ``two_modes`` of the fused logits, where they are known.
         """
-        modes, answers, trust = None, [], fused.trust
+        answers, trust = [], fused.trust
         if hints is not None and trust is not None:  # one that the images refuse is no candidate
             hints = [None if hint is None else hint.trusted(trust) for hint in hints]
         for number, (images, seen) in enumerate(views):
@@ -366,7 +369,8 @@ class RefinedSweepNet(DepthNetwork):
             ids = ids_of_coarser_level(self.level, level, true.device)
             return true[:, ids], valid[:, ids]
 
-        steps = self.refinements(fused, views, tables.offsets, hints[1:])
+        modes = two_modes(fused.logits)
+        steps = self.refinements(fused, views, tables.offsets, hints[1:], modes)
         total = torch.stack(
             [
                 _loss_of_step(refined, *at_level(level), loss)
@@ -377,9 +381,7 @@ class RefinedSweepNet(DepthNetwork):
         coarse_weights = torch.where(clues.cameras.amax(1) >= 2, 1.0, 0.25) * _edge_weights(
             coarse_true, coarse_valid
         )
-        total = total + 0.4 * loss(
-            two_modes(fused.logits)[0], coarse_true, coarse_valid, weights=coarse_weights
-        )
+        total = total + 0.4 * loss(modes[0], coarse_true, coarse_valid, weights=coarse_weights)
         total = total + 0.05 * mean_of_samples(_cross_entropy(fused.logits, coarse_true), coarse_weights)
         prior_level = self.coarse_level - 1
         ids = ids_of_coarser_level(self.coarse_level, prior_level, true.device)

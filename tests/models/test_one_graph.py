@@ -55,11 +55,11 @@ def sample(net: DepthNetwork, batch: int = 1) -> tuple[torch.Tensor, Any]:
 
 
 SHIPPED: dict[str, tuple[Callable[[], DepthNetwork], int]] = {
-    "refinedsweepnet": (pretrained, 1700),
-    "refinedsweepnet-fast": (lambda: pretrained("refinedsweepnet-fast"), 1445),
-    "icosweepnet-small": (lambda: pretrained("icosweepnet-small"), 415),
-    "the paper's": (lambda: IcoSweepNet(4, 32, feature_channels=4), 470),
-    "omnimvs": (lambda: OmniMVS(8, feature_channels=2, output_size=(16, 64)), 165),
+    "refinedsweepnet": (pretrained, 1680),
+    "refinedsweepnet-fast": (lambda: pretrained("refinedsweepnet-fast"), 1424),
+    "icosweepnet-small": (lambda: pretrained("icosweepnet-small"), 411),
+    "the paper's": (lambda: IcoSweepNet(4, 32, feature_channels=4), 464),
+    "omnimvs": (lambda: OmniMVS(8, feature_channels=2, output_size=(16, 64)), 156),
 }
 """Network, and operators without views that a forward pass asks for at most: the same at any level, but for the
 sweep's smoothing, and for any width."""

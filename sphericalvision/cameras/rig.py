@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, check_single
-from sphericalvision.cameras.checks import check_image, check_poses, check_rotation
+from sphericalvision.cameras.checks import check_image, check_poses, check_rotation, checked_size
 from sphericalvision.cameras.masks import is_usable, resized_mask, stack_masks
 from sphericalvision.cameras.models.fisheye import FisheyeCamera
 from sphericalvision.core import (
@@ -334,7 +334,12 @@ class CameraRig:
             raise ArgumentError(
                 f"image_size: expected names among {', '.join(self.names)}, got {unknown[0]!r}"
             )
-        cameras = {n: c.resized(sizes[n]) if n in sizes else c for n, c in self.cameras.items()}
+        places = {name: (id(self.cameras[name]), checked_size(size)) for name, size in sizes.items()}
+        resized = {  # one camera that stands in several places stays one
+            place: self.cameras[name].resized(place[1])
+            for place, name in {place: name for name, place in places.items()}.items()
+        }
+        cameras = {n: resized[places[n]] if n in places else c for n, c in self.cameras.items()}
         masks = {name: resized_mask(mask, cameras[name].image_size) for name, mask in self.masks.items()}
         return self.replaced(cameras, masks=masks)
 

@@ -508,11 +508,13 @@ def reduced_rig(rig: CameraRig, pixel: float) -> CameraRig:
         >>> reduced_rig(ring_rig(3, image_size=(768, 800)), 0.02).cameras["cam1"].image_size
         (192, 200)
     """
-    sizes = {}
-    for name, camera in rig.cameras.items():
+
+    def size(name: str) -> tuple[int, ...]:
+        camera = rig.cameras[name]
         shrink = max(1, int(pixel * pixels_a_radian(camera)))
-        sizes[name] = tuple(max(1, round(length / shrink)) for length in camera.image_size)
-    return rig.resized(sizes)
+        return tuple(max(1, round(length / shrink)) for length in camera.image_size)
+
+    return rig.resized(_of_cameras(rig, size))
 
 
 def averaged(

@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from sphericalvision.cameras import FisheyeCamera
+from sphericalvision.cameras import EquirectangularCamera, FisheyeCamera, Remap
 from sphericalvision.crown import (
     CrownAvgPool2d,
     CrownBatchNorm2d,
@@ -114,6 +114,7 @@ NETWORKS: dict[str, tuple[Callable[[], nn.Module], tuple[int, ...]]] = {
         (2, 3, 8, 8),
     ),
     "panorama_to_fisheye": (lambda: Resample(Equirectangular(6, 12), FISHEYE, fill=-1), (2, 3, 6, 12)),
+    "remap": (lambda: Remap(FISHEYE, EquirectangularCamera((6, 12))), (2, 3, 8, 8)),
     "nearest": (lambda: Resample(Cubemap(4), Icosphere(2), mode="nearest"), (2, 3, 6, 4, 4)),
 }
 

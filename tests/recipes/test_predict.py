@@ -271,33 +271,29 @@ def test_images_and_network_are_read_once(
 def test_knocked_cameras_are_turned_and_it_is_said(
     run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """The rig that it writes gives the same depth, and is taken where a folder goes on."""
     rig = make_ring(4, image_size=(256, 256))
     pictures = render_rig(make_scene("room", seed=5), rig)
     fault = CameraDisturbance(pose_error=math.radians(1))
     wrong = fault({"images": pictures, "rig": rig}, torch.Generator().manual_seed(2))["rig"]
-    write_capture(tmp_path / "c", rig, pictures, file="{camera}/00003.png")
+    write_capture(tmp_path / "c", wrong, pictures, file="{camera}/00003.png")
     common = [
         f"images={tmp_path}/c/cam{{camera}}/{{frame:05d}}.png",
         "checkpoint=icosweepnet-small",
         "outputs=[npz]",
         "height=64",
     ]
-    rig.to_yaml(tmp_path / "right.yaml")
-    wrong.to_yaml(tmp_path / "wrong.yaml")
-    run("predict", f"calibration={tmp_path}/right.yaml", "output=right", *common, "align=false")
-    run("predict", f"calibration={tmp_path}/wrong.yaml", "output=wrong", *common)
+    first = [f"calibration={tmp_path}/c/rig.yaml", "output=turned", *common]
+    run("predict", *first)
     assert "preparation turns cam1 by" in capsys.readouterr().out
-    assert (tmp_path / "wrong/aligned.yaml").is_file()
-    run("predict", f"calibration={tmp_path}/wrong.yaml", "output=off", *common, "align=false")
-    (tmp_path / "wrong/00003_depth.npz").unlink()
-    run("predict", f"calibration={tmp_path}/wrong.yaml", "output=wrong", *common, "skip_existing=true")
+    depth = tmp_path / "turned/00003_depth.npz"
+    before = np.load(depth)["index"]
+    depth.unlink()
+    run("predict", *first, "skip_existing=true")
     assert "preparation turns" not in capsys.readouterr().out
-    run("predict", f"calibration={tmp_path}/wrong/aligned.yaml", "output=again", *common, "align=false")
-    right, wrong, off, again = (
-        np.load(tmp_path / name / "00003_depth.npz")["index"] for name in ("right", "wrong", "off", "again")
-    )
-    np.testing.assert_allclose(again, wrong, atol=0.01)
-    assert np.abs(wrong - right).mean() < 0.4 * np.abs(off - right).mean()
+    run("predict", f"calibration={tmp_path}/turned/aligned.yaml", "output=again", *common, "align=false")
+    for path in (depth, tmp_path / "again/00003_depth.npz"):
+        np.testing.assert_allclose(np.load(path)["index"], before, atol=0.01)
 
 
 def test_frames_that_cannot_be_read_are_not_looked_at_for_the_calibration(

@@ -193,8 +193,8 @@ class LogitFusion(nn.Module):
     @staticmethod
     def _hint_clues(clues: SweepClues, prior: Tensor, start: Tensor, hint: HintedIndex) -> Tensor:
         """What speaks for and against a hint ``(B, 6, V)``; 0 where there is none."""
-        cost, best = (at_index(values, hint.index) for values in (clues.cost, clues.best))
-        likely = at_index(prior, hint.index)
+        together = torch.cat((clues.cost, clues.best, prior))
+        cost, best, likely = at_index(together, hint.index.repeat(3, 1)).chunk(3)
         difference = ((hint.index - start) / 4).clamp(-2, 2)
         values = (torch.ones_like(cost), difference, cost, clues.cost.mean(1), best, likely / 4)
         return torch.stack(values, 1) * hint.weight[:, None]

@@ -98,8 +98,9 @@ class MovingAverage(WeightAveraging):
 
     def setup(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:
         """Make the average where the weights will be."""
-        self._device = trainer.strategy.root_device
         super().setup(trainer, pl_module, stage)
+        if self._average_model is not None:  # there is none but in training
+            self._average_model.to(trainer.strategy.root_device)
 
     def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *args: Any) -> None:
         """Go towards the weights, once they have taken a step; after the first one, all the way."""

@@ -87,7 +87,7 @@ NAMED = ("hydra", "output", "rig", "paths", "tags")
 """Keys that other values name: the folder of the run, the rig of the data, words in the records of a run."""
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture
 def capture(tmp_path: Path, weights: Path) -> None:
     """A rig, two frames of its cameras, and poses for those of one."""
     rig = make_ring(4, radius=0.2, image_size=(24, 32))
@@ -133,6 +133,7 @@ def looked_at(monkeypatch: pytest.MonkeyPatch) -> set[str]:
     return found
 
 
+@pytest.mark.usefixtures("capture")
 @pytest.mark.parametrize("words", RUNS, ids=lambda words: " ".join(words[:3]))
 def test_every_key_is_looked_at_or_refused(
     words: tuple[str, ...], run: Run, tmp_path: Path, looked_at: set[str]
@@ -212,6 +213,7 @@ def test_every_key_of_data_is_looked_at_or_refused(
     assert forgotten == []
 
 
+@pytest.mark.usefixtures("capture")
 def test_keys_of_training_are_refused_where_nothing_is_trained(
     failing: Callable[..., str], tmp_path: Path
 ) -> None:
@@ -234,6 +236,7 @@ def test_the_benchmark_refuses_keys_of_the_trained_study(failing: Callable[..., 
     assert f"{key}: does not count with the options given" in failing("study", "preset=benchmark", word)
 
 
+@pytest.mark.usefixtures("capture")
 def test_tilts_count_in_an_evaluation(run: Run, tmp_path: Path) -> None:
     words = ("checkpoint=weights.safetensors", *TINY_SCENES, "data.cache_dir=null", "device=cpu")
     for name, more in (("level", ()), ("tilted", ("data.tilts_deg=[30,30]",))):

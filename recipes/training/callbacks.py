@@ -134,7 +134,19 @@ class SaveOnInterrupt(Callback):
 
 
 class TrainingBar(RichProgressBar):
-    """Lightning's bar without its count of epochs: training is counted in iterations."""
+    """Lightning's bar without its count of epochs: training is counted in iterations.
+
+    It shows the loss of every tenth: what is logged with ``prog_bar=True`` is read back from a device at each.
+    """
+
+    _loss: dict[str, float] = {}  # noqa: RUF012 (replaced, not changed)
+
+    def get_metrics(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> dict[str, Any]:
+        """What Lightning's bar shows, and the loss."""
+        loss = trainer.callback_metrics.get("train/loss")
+        if loss is not None and (not self._loss or trainer.global_step % 10 == 0):
+            self._loss = {"train/loss": float(loss)}
+        return {**super().get_metrics(trainer, pl_module), **self._loss}
 
     def _get_train_description(self, current_epoch: int) -> str:
         return "training"

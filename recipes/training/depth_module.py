@@ -112,7 +112,7 @@ class DepthModule(TrainingModule):
         if net.takes_hints and self.shows_hints:
             more["hint"] = simulated_hint(batch["inverse_depth"], batch["valid"], seen)
         loss: Tensor = training_loss(images, rig, seen, *_target(batch, net), self.loss, **more)
-        self.log("train/loss", loss, prog_bar=True, batch_size=len(images))
+        self.log("train/loss", loss, batch_size=len(images))
         return loss
 
     def _loss_of(self, net: DepthNetwork) -> Callable[..., Tensor]:

@@ -41,8 +41,12 @@ def module() -> DepthModule:
     )
     adamw = partial(torch.optim.AdamW, foreach=True)  # as it is by itself on a GPU
     module = DepthModule(net.train(), depth_index_huber, adamw, lambda optimizer: optimizer)
-    module.log = lambda *_, **__: None  # type: ignore[method-assign,assignment]
+    module.log = unread  # type: ignore[method-assign,assignment]
     return module
+
+
+def unread(*_: Any, prog_bar: bool = False, **__: Any) -> None:
+    assert not prog_bar, "Lightning reads values for a bar back at every step"
 
 
 def batch() -> dict[str, Any]:

@@ -22,6 +22,7 @@ def rig_fingerprint(rig: CameraRig, extra: object = "", digits: int = 5) -> str:
         digits: significant digits of numbers; rigs that differ in later ones only have the same fingerprint.
 
     Examples:
+        >>> import torch
         >>> from sphericalvision.cameras import ring_rig
         >>> rig_fingerprint(ring_rig(4)) == rig_fingerprint(ring_rig(4).to(torch.float64))
         True

@@ -188,9 +188,15 @@ def weighted_sums(
     if ids.numel() < values.shape[-1]:  # few of many: the rest is not touched
         terms = values.index_select(-1, ids.flatten()).unflatten(-1, tuple(ids.shape))
         return (terms * weights).sum(-1)
+    wants_grad = torch.is_grad_enabled() and (values.requires_grad or weights.requires_grad)
+    if wants_grad and values.device.type == "cpu" and torch.compiler.is_compiling():
+        # Inductor of torch 2.13 adds the slopes of transposed rows up at wrong places, and past their end.
+        total = values.new_zeros(())
+        for k in range(ids.shape[-1]):
+            total = total + values.index_select(-1, ids[:, k]) * weights[:, k]
+        return total
     # All channels of a value side by side, so that they are read at once.
     rows = values.reshape(math.prod(values.shape[:-1]), values.shape[-1]).t().contiguous()
-    wants_grad = torch.is_grad_enabled() and (values.requires_grad or weights.requires_grad)
     sums = (_term_by_term if wants_grad else weighted_rows)(rows, ids, weights)
     return sums.t().reshape(*values.shape[:-1], len(ids)).contiguous()
 

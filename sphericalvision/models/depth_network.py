@@ -197,7 +197,7 @@ class DepthNetwork(RemembersArguments):
         self, images: Tensor, rig: CameraRig | Any, seen: Tensor | None, hint: DepthHint | None
     ) -> DepthEstimate:
         """What ``predict`` returns; images, ``seen`` and hint have the right shapes."""
-        raise NotImplementedError(f"{type(self).__name__}.predict")
+        raise NotImplementedError(f"{type(self).__name__}._estimate")
 
     def forward(
         self,

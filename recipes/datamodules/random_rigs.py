@@ -72,8 +72,8 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
     A batch of training has rigs of as many cameras each. In training, the world is turned by random multiples of 72
     degrees, and half of the samples on icospheres are mirrored.
 
-    Without a cache a device may be faster than what renders. With ``uses``, it then takes a batch again, turned and
-    mirrored anew, in place of waiting.
+    A device may be faster than the processes that render. With ``uses``, it then takes a batch again, turned and
+    mirrored anew, in place of waiting. What is kept in a cache, and what the main process renders, is used once.
 
     Args:
         world: what comes how often, and faults, as ``conf/world/random_rigs.yaml``.
@@ -125,11 +125,6 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.world_of(self.image_size)  # raises for shares that do not fit
-        if self.uses > 1 and self.cache_dir is not None:
-            raise ArgumentError(
-                f"data.uses: expected 1 where samples are kept, which are read faster than trained on, got "
-                f"{self.uses}; or set data.cache_dir=null"
-            )
         if self.levels is not None and not sum(part["share"] for part in self.levels.values()) > 0:
             raise ArgumentError(f"data.levels: expected shares above 0, got {dict(self.levels)}")
 
@@ -194,7 +189,7 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
     def train_dataloader(self) -> Any:
         """Endless training batches, some of them again where the next is not ready."""
         loader = super().train_dataloader()
-        if self.uses == 1:
+        if self.uses == 1 or self.num_workers == 0 or self.cache_dir is not None:
             return loader
         generator = torch.Generator().manual_seed(self.seed)
         return ReusedBatches(loader, self.uses, self.augmentation(generator), pinned=loader.pin_memory)

@@ -64,6 +64,14 @@ def test_every_experiment_makes_its_network_and_its_first_sample(experiment: str
     assert len(data.dataset("val")) > 0
 
 
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_every_experiment_goes_with_the_trainer_of_a_gpu(experiment: str) -> None:
+    needed = ("capture='c/{camera}/{frame}.png'",) if experiment == "adapt" else ()
+    config = train_config(f"experiment={experiment}", "trainer=gpu", *needed)
+    assert config.data.num_workers == 15
+    check_node(config.data, "data", ())
+
+
 def test_adapting_takes_a_capture_and_the_shipped_weights() -> None:
     config = train_config("experiment=adapt", "capture='c/{camera}/{frame}.png'")
     assert (config.data.images, config.init_weights) == ("c/{camera}/{frame}.png", "refinedsweepnet")

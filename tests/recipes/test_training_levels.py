@@ -165,14 +165,19 @@ def test_what_stops_a_loader_stops_the_training() -> None:
         list(ReusedBatches(loader(), 2, dict))
 
 
-def test_samples_that_are_kept_are_not_used_again() -> None:
-    with pytest.raises(ArgumentError, match=r"data\.uses"):
-        data_of(network(), uses=2, cache_dir="anywhere")
+@pytest.mark.parametrize(
+    ("num_workers", "cached", "again"), [(1, False, True), (0, False, False), (1, True, False)]
+)
+def test_only_what_processes_render_anew_is_used_again(
+    num_workers: int, cached: bool, again: bool, tmp_path: Path
+) -> None:
+    data = data_of(network(), uses=2, num_workers=num_workers, cache_dir=str(tmp_path) if cached else None)
+    assert isinstance(data.train_dataloader(), ReusedBatches) == again
 
 
 def test_a_batch_used_again_is_the_same_world_turned() -> None:
     net = network()
-    data = data_of(net, uses=2)
+    data = data_of(net, uses=2, num_workers=1)
     batch = collate_samples([data.plain("train")[index] for index in same_group(data)])
     reused = data.train_dataloader()
     changed = reused.change(batch)

@@ -230,7 +230,8 @@ class DepthNetwork(RemembersArguments):
             valid: where it is known.
             loss: of index, true index and where that is known.
         """
-        return loss(self(images, rig, seen, hint), target, valid)
+        hints = () if hint is None else (hint,)  # as in ``forward``
+        return loss(self(images, rig, seen, *hints), target, valid)
 
     def intake(self, rig: CameraRig, antialias: bool = True) -> Intake:
         """Return what makes images of a rig's cameras into those that this network takes.

@@ -14,7 +14,9 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
+from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ArgumentError, FileFormatError
+from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import (
     DepthNetwork,
     IcoSweepNet,
@@ -46,6 +48,17 @@ class Flat(DepthNetwork):
         index = self.index.expand(len(images), *self.grid.shape)
         return DepthEstimate(index, torch.ones_like(index), torch.ones_like(index, dtype=torch.bool))
 """
+
+
+def test_a_network_whose_forward_takes_no_hint_trains() -> None:
+    class Dim(IcoSweepNet):
+        def forward(self, images: torch.Tensor, rig: Any, seen: Any = None) -> torch.Tensor:  # type: ignore[override]
+            return super().forward(images / 2, rig, seen)
+
+    net = Dim(3, 4, feature_channels=2).eval()
+    images, truth = torch.rand(1, 4, 3, 642), torch.ones(1, *net.grid.shape)
+    loss = net.training_loss(images, ring_rig(4), None, truth, truth > 0, depth_index_huber)
+    assert loss == depth_index_huber(net(images, ring_rig(4)), truth, truth > 0)
 
 
 @pytest.fixture

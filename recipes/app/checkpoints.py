@@ -66,7 +66,9 @@ def refuse_others(
     Raises:
         ArgumentError: those that differ, of both.
     """
-    if differ := [key for key in mine if mine[key] != theirs.get(key) and key not in free]:
+    differ = [key for key in mine if mine[key] != theirs.get(key) and key not in free]
+    # None is a network's own choice, which may be the same: it is named where nothing else differs.
+    if differ := [key for key in differ if mine[key] is not None] or differ:
         raise ArgumentError(
             f"init_weights: {weights} has "
             + ", ".join(f"{key} = {theirs.get(key)}" for key in differ)

@@ -15,8 +15,10 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from sphericalvision.models import load_weights
-from sphericalvision.recipes.app.checkpoints import load_network
+from sphericalvision.core import ArgumentError
+from sphericalvision.models import RefinedSweepNet, load_weights, save_weights
+from sphericalvision.models.refinedsweepnet import PRIOR
+from sphericalvision.recipes.app.checkpoints import initialize, load_network
 from sphericalvision.recipes.datamodules.data_module import SampleDataModule, TrainingBatches, TrainingStream
 from sphericalvision.recipes.training.depth_module import METRICS, DepthModule
 from tests.recipes.tiny import Run, command_after
@@ -140,6 +142,13 @@ def test_training_starts_from_weights_of_another_level(
     assert after.hyperparameters["level"] == 4
     for name, value in load_weights(weights).named_parameters():
         assert torch.equal(after.get_parameter(name), value), name
+
+
+def test_weights_of_other_sizes_are_refused_by_what_differs(tmp_path: Path) -> None:
+    weights = tmp_path / "other.safetensors"
+    save_weights(RefinedSweepNet(5, widths=(4, 4), blocks=1, prior={**PRIOR}), weights)
+    with pytest.raises(ArgumentError, match=r"set model\.refining_colors=4 or take other weights$"):
+        initialize(RefinedSweepNet(5, widths=(4, 4), blocks=1, refining_colors=3), weights)
 
 
 def test_resuming_another_network_is_refused(

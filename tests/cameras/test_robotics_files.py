@@ -92,5 +92,8 @@ def test_vins_takes_cameras_from_files_beside_it(tmp_path: Path) -> None:
     torch.testing.assert_close(rig.world_from_camera[1], torch.tensor(RIGHT_OF_FIRST, dtype=torch.float64))
     with pytest.raises(FileNotFoundError, match=r"other\.yaml.*the calibration of cam1"):
         read_rig(dump(tmp_path / "estimator.yaml", {**content, "cam1_calib": "other.yaml"}))
+    (tmp_path / "note.yaml").write_text("nothing: 1")
+    with pytest.raises(ValueError, match=r"note\.yaml: expected .*estimator\.yaml names it for cam1"):
+        read_rig(dump(tmp_path / "estimator.yaml", {**content, "cam1_calib": "note.yaml"}))
     with pytest.raises(ValueError, match=r"estimator\.yaml, cam0_calib: expected the name of a file"):
         read_rig(dump(tmp_path / "estimator.yaml", {**content, "cam0_calib": 3}))

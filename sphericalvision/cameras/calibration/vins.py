@@ -42,7 +42,10 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
                 f"{content.at(key)}: expected the name of a file, got {short_repr(file_name)}"
             )
         file = check_file(path.parent / file_name, f"the calibration of {name}, which {path} names")
-        camera = camodocal.camera_in(file)
+        try:
+            camera = camodocal.camera_in(file)
+        except FileFormatError as error:
+            raise FileFormatError(f"{error}; {path} names it for {name}") from error
         sides = ("image_width", "image_height")
         if any(side in content for side in sides) and content.size(*sides) != camera.image_size:
             raise FileFormatError(f"{content.at(*sides)}: differ from those of {file}; correct one")

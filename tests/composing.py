@@ -18,6 +18,7 @@ from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.defaults_list import DefaultsList, Overrides
 from hydra._internal.sources_registry import SourcesRegistry
 from hydra.core.plugins import Plugins
+from omegaconf import OmegaConf
 
 from sphericalvision.recipes.app import running
 
@@ -57,11 +58,13 @@ def _defaults_list(repo: Any, config_name: Any, overrides_list: list[Any], **opt
 
 def _composed(loader: ConfigLoaderImpl, defaults: list[Any], repo: Any) -> Any:
     """What files say together: it depends on their names, places and order."""
-    return _once(
+    result = _once(
         repo.get_sources(),
         [vars(default) for default in defaults],
         lambda: compose_defaults(loader, defaults, repo),
     )
+    OmegaConf.clear_cache(result)  # of the time that it was composed at, which names folders of runs
+    return result
 
 
 def install() -> None:

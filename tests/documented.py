@@ -148,7 +148,9 @@ def furnish(folder: Path) -> None:
         for name in ("fisheye", *rig.names):
             write_image(walk / f"{name}/{number}.png", torch.rand(3, *SIZE))
     write_mask(walk / "carrier.png", torch.ones(SIZE, dtype=torch.bool))
-    (walk / "poses.txt").write_text("".join(f"{number} 0 {0.2 * number} 0 0 0 0 1\n" for number in range(5)))
+    for place, number in ((walk, 5), (folder, 12)):
+        poses = "".join(f"{frame} 0 {0.2 * frame} 0 0 0 0 1\n" for frame in range(number))
+        (place / "poses.txt").write_text(poses)
     net = IcoSweepNet(3, 4, feature_channels=2, aggregation="variance", norm="instance")
     for name in ("network", "weights/icosweepnet-0"):
         save_weights(net, folder / f"{name}.safetensors")
@@ -184,16 +186,18 @@ def run_command(command: Command, folder: Path, cache: Path) -> None:
     words = [re.sub(r"=\.\.\.$", "=/data/omnithings", word) for word in command.words]
     words = [re.sub(r"(?<==)/data/", f"{folder}/data/", word) for word in words]
     if command.recipe == "calibrate":
-        for name in ("board", "boards/front", "boards/back"):
-            write_boards(folder / name)
-        if any(".insv" in word for word in words):
-            pictures = [read_image(file) for file in sorted((folder / "board").glob("*.png"))]
-            frames = [(255 * picture).byte().movedim(0, -1).numpy() for picture in pictures]
-            write_streams(folder / "VID_board.insv", [frames, frames])
+        for name, aside in (("board", 0.0), ("boards/front", 0.0), ("boards/back", 0.03)):
+            write_boards(folder / name, aside)
         sides = "rowSpacingMeters: 0.05\ncolSpacingMeters: 0.05"
         (folder / "target.yaml").write_text(
             f"target_type: checkerboard\ntargetCols: 7\ntargetRows: 5\n{sides}\n"
         )
+    for video in {folder / word.removeprefix("images=") for word in words if word.endswith(".insv")}:
+        lenses = [sorted((folder / "boards" / name).glob("*.png")) for name in ("front", "back")]
+        pictures = [
+            [(255 * read_image(file)).byte().movedim(0, -1).numpy() for file in lens] for lens in lenses
+        ]
+        write_streams(video, pictures)
     if command.recipe == "align":  # random images have nothing in common
         write_knocked_capture(folder / "knocked")
         words += ["calibration=knocked/rig.yaml", "images=knocked/{camera}/{frame:05d}.png"]

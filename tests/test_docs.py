@@ -186,4 +186,4 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
     result = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr[-2000:]
-    assert 'id="sphericalvision.cameras.rig.CameraRig"' in (tmp_path / "api" / "cameras.html").read_text()
+    assert 'id="sphericalvision.cameras.rig.CameraRig"' in (tmp_path / "api" / "rigs.html").read_text()

@@ -132,10 +132,11 @@ def boards(drawing: Drawing) -> Tensor:
     )
 
 
-def write_boards(folder: Path) -> None:
-    """The pictures of all poses as ``00.png`` and so on."""
+def write_boards(folder: Path, aside: float = 0.0) -> None:
+    """The pictures of all poses as ``00.png`` and so on, by a camera that stands some metres aside."""
     drawing, eye = Drawing(Checkerboard(COLUMNS, ROWS, SQUARE)), Eye(TRUTH)
     for index, pose in enumerate(boards(drawing)):
+        pose[0, 3] -= aside
         write_image(folder / f"{index:02}.png", eye.picture(drawing, pose))
 
 

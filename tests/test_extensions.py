@@ -22,9 +22,10 @@ import json
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.calibration import native
 from sphericalvision.cameras.calibration.formats import FileFormat
+from sphericalvision.cameras.native_files import camera_to_dict
 
 def write(rig, path):
-    cameras = {name: native.camera_to_dict(camera) for name, camera in rig.cameras.items()}
+    cameras = {name: camera_to_dict(camera) for name, camera in rig.cameras.items()}
     path.write_text(json.dumps({"odd": cameras, "poses": rig.world_from_camera.tolist()}))
 
 def contents(content, path, options):

@@ -66,8 +66,9 @@ def test_every_experiment_makes_its_network_and_its_first_sample(experiment: str
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_every_experiment_goes_with_the_trainer_of_a_gpu(experiment: str) -> None:
-    needed = ("capture='c/{camera}/{frame}.png'",) if experiment == "adapt" else ()
-    config = train_config(f"experiment={experiment}", "trainer=gpu", *needed)
+    needed = {"adapt": "capture='c/{camera}/{frame}.png'", "icosweepnet_omnithings": "data.root=omnithings"}
+    words = [needed[experiment]] if experiment in needed else []
+    config = train_config(f"experiment={experiment}", "trainer=gpu", *words)
     assert config.data.num_workers == 15
     check_node(config.data, "data", ())
 

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from torch import Tensor
+from torchmetrics import MeanMetric
 
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.models import save_weights
@@ -35,10 +35,9 @@ class AdaptModule(DepthModule):
     learns_all = True
     shows_hints = False  # there is no truth
 
-    @cached_property
-    def shares(self) -> list[float]:
-        """Of the frames of this validation."""
-        return []
+    def __init__(self, *args: Any, **settings: Any) -> None:
+        super().__init__(*args, **settings)
+        self.share = MeanMetric("disable")  # a number that is none shows
 
     def validation_step(self, batch: dict[str, Any], batch_idx: int) -> Tensor:
         """Gather the photo-consistency of one batch; returns the index."""
@@ -46,13 +45,13 @@ class AdaptModule(DepthModule):
         correlation = batch["correlation"].float() / 255
         vertices = Icosphere(level_from_num_vertices(correlation.shape[-1]), device=index.device).vertices
         place = self.net.index_at(index, vertices)[0] / (self.net.num_hypotheses - 1)
-        self.shares += consistency_share(place, correlation, batch["correlation_seen"]).tolist()
+        self.share.update(consistency_share(place, correlation, batch["correlation_seen"]))
         return index
 
     def on_validation_epoch_end(self) -> None:
         """Log ``val/photo-consistency``."""
-        self.log("val/photo-consistency", sum(self.shares) / max(len(self.shares), 1), prog_bar=True)
-        self.shares.clear()
+        self.log("val/photo-consistency", self.share.compute(), prog_bar=True, sync_dist=True)
+        self.share.reset()
 
     def write_report(
         self, data: Any, values: dict[str, float], init_weights: str | None, folder: Path

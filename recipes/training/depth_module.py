@@ -145,7 +145,8 @@ class DepthModule(TrainingModule):
         values = self.validation_metric.compute()
         self.validation_metric.reset()
         for name in METRICS:
-            self.log(f"val/{name.replace('>', 'over_')}", values[name], prog_bar=name == "MAE")
+            key = f"val/{name.replace('>', 'over_')}"
+            self.log(key, values[name], prog_bar=name == "MAE", sync_dist=True)
 
 
 def _target(batch: dict[str, Any], net: DepthNetwork) -> tuple[Tensor, Tensor]:

@@ -87,7 +87,7 @@ class OrientationModule(TrainingModule):
     def _log_scores(self, split: str) -> None:
         for name, module in self.scores.items():
             score = cast(Metric, module)
-            self.log(f"{split}/{name}", self.percent(score), prog_bar=True)
+            self.log(f"{split}/{name}", self.percent(score), prog_bar=True, sync_dist=True)
             score.reset()
 
 

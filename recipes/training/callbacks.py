@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
 import time
 from datetime import timedelta
 from pathlib import Path
@@ -120,10 +122,49 @@ class MovingAverage(WeightAveraging):
 
 
 class SaveOnInterrupt(Callback):
-    """Write ``path`` when training is interrupted from the keyboard or by a job queue (SIGINT, SIGTERM)."""
+    """Write ``path`` when training is interrupted from the keyboard or by a job queue (SIGINT, SIGTERM).
+
+    Of several processes a signal may reach one or all, each within another step. They agree before the next one, and
+    stop there together: writing a checkpoint waits for all.
+    """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
+        self.asked = 0
+        """The number of the signal that came; 0 for none."""
+        self._handlers: dict[int, Any] = {}
+
+    def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Only note signals, where several processes train."""
+        # Lightning's handler of SIGTERM broadcasts at once, whatever its process exchanges just then: all wait forever.
+        if trainer.world_size > 1 and threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._handlers[number] = signal.signal(number, self._note)
+
+    def _note(self, number: int, frame: Any) -> None:
+        if self.asked and number == signal.SIGINT:  # whoever insists does not wait for the others
+            raise KeyboardInterrupt
+        self.asked = number
+
+    def on_train_batch_start(
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, batch: Any, batch_idx: int
+    ) -> None:
+        """Stop all processes if one was asked to."""
+        if trainer.world_size == 1:
+            return
+        asked = torch.tensor(self.asked, device=trainer.strategy.root_device)
+        number = int(trainer.strategy.reduce(asked, reduce_op="max"))
+        if number == signal.SIGTERM:
+            trainer._signal_connector.received_sigterm = True  # so that the exit status says so
+            raise SIGTERMException
+        if number:
+            raise KeyboardInterrupt
+
+    def teardown(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:
+        """Give signals back to those who had them."""
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
+        self._handlers.clear()
 
     def on_exception(
         self, trainer: pl.Trainer, pl_module: pl.LightningModule, exception: BaseException

@@ -4,6 +4,11 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -60,8 +65,10 @@ def test_each_sample_is_validated_once_and_nobody_waits(number: int, batch_size:
 
 
 def train(folder: Path, *words: str) -> str:
-    """Train in a process of its own, which starts the other; gives what was printed."""
-    return python("-m", "sphericalvision.recipes.train", *words, folder=folder)
+    """Train in a process of its own, which starts the other; gives what was printed. Lightning has no advice."""
+    return python(
+        "-W", "error:It is recommended to use", "-m", "sphericalvision.recipes.train", *words, folder=folder
+    )
 
 
 def state(folder: Path) -> dict[str, torch.Tensor]:
@@ -87,3 +94,44 @@ def test_two_processes_train_as_one(run: Run, tmp_path: Path, tiny_training: Wor
     torch.testing.assert_close(two, one, rtol=1e-3, atol=1e-3)
     torch.testing.assert_close(parts, two, rtol=0, atol=0)
     assert errors(tmp_path / "two") == pytest.approx(errors(tmp_path / "one"), rel=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+@pytest.mark.parametrize("all_of_them", [True, False])
+def test_two_processes_stop_together_and_go_on(
+    tmp_path: Path, tiny_training: Words, number: signal.Signals, status: int, all_of_them: bool
+) -> None:
+    """A job queue signals all processes, and ``kill`` one of them."""
+    words = (*tiny_training, *DDP, "data.num_val=2", "logger=none", "callbacks.panels=null", "output=run")
+    long = (
+        "trainer.max_steps=100000",
+        "trainer.val_check_interval=100000",
+        "callbacks.progress.every_seconds=0.001",
+    )
+    command = [sys.executable, "-m", "sphericalvision.recipes.train", *words, *long]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    with subprocess.Popen(
+        command,
+        cwd=tmp_path,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    ) as process:
+        assert process.stdout is not None
+        printed, watchdog = "", threading.Timer(200, os.killpg, (process.pid, signal.SIGKILL))
+        watchdog.start()
+        for line in process.stdout:
+            printed += line
+            if "step 5 of" in line:
+                (os.killpg if all_of_them else os.kill)(process.pid, number)
+        watchdog.cancel()
+        assert process.wait() == status, printed
+    assert "Stopped at step" in printed
+    stopped = torch.load(tmp_path / "run/checkpoints/last.ckpt", weights_only=True)["global_step"]
+    assert stopped >= 5
+    end = f"trainer.max_steps={stopped + 1}"
+    train(tmp_path, *words, end, f"trainer.val_check_interval={stopped + 1}", "resume=auto")
+    assert torch.load(tmp_path / "run/checkpoints/last.ckpt", weights_only=True)["global_step"] == stopped + 1

@@ -53,4 +53,6 @@ def test_what_is_not_clear_is_left_alone() -> None:
     for images in ([bright], [fading], [night], [overlay], [edge, bright], [0 * bright]):
         assert dark_beyond(WIDE, images) is None
     assert dark_beyond(WIDE, [edge], circle(90) > 0) is None  # masked already
-    assert dark_beyond(WIDE, [edge]) is not None
+    angle = dark_beyond(WIDE, [edge])
+    assert angle is not None
+    assert math.degrees(angle) == pytest.approx(90, abs=2)

@@ -27,7 +27,6 @@ NETWORKS = (
     ("refinedsweepnet", 6),
     ("refinedsweepnet", 7),
     ("refinedsweepnet", 8),
-    ("refinedsweepnet-fine", 7),
 )
 NEAR = 4
 """Pixels from an edge, at which neighbouring pixels differ by more than one hypothesis."""

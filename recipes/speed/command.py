@@ -48,7 +48,7 @@ class SpeedKeys(TypedDict, total=False):
     options: list[str]
     num_frames: Count
     image_sides: Annotated[list[Count], MinLen(1)]
-    presets: Annotated[list[Literal["default", "live", "fast", "fine"]], MinLen(1)]
+    presets: Annotated[list[Literal["default", "live", "fast", "fine", "finest"]], MinLen(1)]
     variants: list[str]
     convolution_settings: list[Size]
     num_points: Count

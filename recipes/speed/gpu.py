@@ -19,14 +19,16 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Predictor
 from sphericalvision.capture.graphs import GraphedFunction
-from sphericalvision.models import DepthNetwork, IcoSweepNet, pretrained
+from sphericalvision.models import DepthNetwork, IcoSweepNet
+from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.commands.train import instantiate_run
 from sphericalvision.recipes.speed.measuring import Comparison, Run, added_memory, random_images
 from sphericalvision.scenes import make_scene, render_rig
 
 __all__ = ["gpu"]
 
-SHIPPED = {"default": "refinedsweepnet", "level 5": "refinedsweepnet-fast", "level 7": "refinedsweepnet-fine"}
+LEVELS = {"default": 6, "level 5": 5, "level 7": 7}
+"""Of the images that the networks which ship are timed at."""
 PREDICTORS: dict[str, dict[str, Any]] = {
     "default": {},
     "level 5": {"level": 5},
@@ -59,7 +61,7 @@ def gpu(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     )
     level, number = config.settings[-1]
     networks: dict[str, Callable[[], DepthNetwork]] = {
-        title: partial(pretrained, name) for title, name in SHIPPED.items()
+        title: partial(load_network, level=level) for title, level in LEVELS.items()
     }
     networks[f"IcoSweepNet {level}/{number}"] = partial(
         IcoSweepNet, level, number, feature_channels=config.feature_channels

@@ -75,8 +75,7 @@ class Predictor:
     Args:
         rig: calibrated cameras, for instance ``cameras.read_rig("capture/config.yaml")``; its masks are used.
         weights: a name of ``models.available_weights()``, a weights file, or a network; by default the one that
-            ships for ``level``: ``refinedsweepnet-fast`` for 5, ``refinedsweepnet-fine`` for 7, ``refinedsweepnet`` for
-            6 and 8.
+            ships for ``level``: ``refinedsweepnet-fast`` for 5, ``refinedsweepnet`` from 6 on.
         method: ``"network"``, or ``"semi_global"``: a sweep without training at the level of the network.
         min_depth: nearest hypothesis in metres. ``"scene"`` estimates it from the first images, once, which takes one
             to three seconds. ``None`` is that of the training, scaled with the rig if the network was trained with rigs

@@ -72,7 +72,7 @@ STAGES = {
 @pytest.mark.slow
 def test_figures_of_a_gpu_are_made_on_any_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything runs that will on a GPU, in its order, but for the capture of CUDA graphs."""
-    monkeypatch.setattr(bench_gpu, "SHIPPED", {"default": "refinedsweepnet-fast"})
+    monkeypatch.setattr(bench_gpu, "LEVELS", {"default": 5})
     monkeypatch.setattr(bench_gpu, "PREDICTORS", {"level 5": {"level": 5}, "half": {"level": 5, **HALF}})
     monkeypatch.setattr(bench_gpu, "BATCH", 2)
     monkeypatch.setattr(bench_gpu, "TRAINING", [*bench_gpu.TRAINING, *SMALL_SAMPLES])
@@ -153,10 +153,10 @@ def test_presets_are_those_of_predict(monkeypatch: pytest.MonkeyPatch) -> None:
     configs: list[PredictConfig] = []
     monkeypatch.setattr(bench_frames, "predictor_for", lambda rig, config: configs.append(config))
     with initialize_config_module("sphericalvision.conf", version_base="1.3"):
-        for name in ("live", "fast", "default", "fine"):
+        for name in ("live", "fast", "default", "fine", "finest"):
             bench_frames.preset_predictor(name, ring_rig(4), CPU)
-    assert [config.preparation.photometric for config in configs] == [False, True, True, True]
-    assert [config.level for config in configs] == [5, 5, None, 7]
+    assert [config.preparation.photometric for config in configs] == [False, True, True, True, True]
+    assert [config.level for config in configs] == [5, 5, None, 7, 8]
 
 
 def small_predictor(rig: CameraRig, config: PredictConfig) -> Predictor:

@@ -19,18 +19,15 @@ __all__ = ["read_network", "weights_for"]
 REFERENCE_SUFFIXES = (".pth", ".pt", ".tar")
 """Of checkpoints in the authors' format."""
 
-BY_LEVEL = {5: "refinedsweepnet-fast", 6: "refinedsweepnet", 7: "refinedsweepnet-fine", 8: "refinedsweepnet"}
-"""Weights that ship, by the level of the images that they are best for; those for level 8 repeat a step up to it."""
-
 
 def weights_for(level: int | None = None) -> str:
-    """Name of the weights that ship for images of a level, or the level nearest to it; for level 6 when not given.
+    """Name of the weights that ship for images of a level: one set up to level 5, and one from level 6 on.
 
     Examples:
-        >>> weights_for(5), weights_for()
-        ('refinedsweepnet-fast', 'refinedsweepnet')
+        >>> weights_for(5), weights_for(7), weights_for()
+        ('refinedsweepnet-fast', 'refinedsweepnet', 'refinedsweepnet')
     """
-    return BY_LEVEL[min(max(6 if level is None else level, min(BY_LEVEL)), max(BY_LEVEL))]
+    return "refinedsweepnet-fast" if level is not None and level <= 5 else "refinedsweepnet"
 
 
 WRAPPERS = ("_orig_mod.", "module.")

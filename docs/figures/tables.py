@@ -4,12 +4,17 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
 from pathlib import Path
 
 from figures import CHARTS, FAINT, INK, MARK, new_figure, to_html
 
 PAGES = Path(__file__).parents[1]
+CLOSE = 1.3
+"""Ratio of two times whose names would overlap."""
+TICKS = (0.1, 0.2, 0.5, 1, 2, 5, 10)
+"""CPU seconds."""
 
 
 def table(page: str, heading: str) -> tuple[list[str], dict[str, list[float]]]:
@@ -63,18 +68,26 @@ def presets() -> str:
     ):
         errors = [row[head.index(column)] for row in rows.values()]
         axes.plot(seconds, errors, "o-", color=color, label=column)
-    for name, second, row in zip(rows, seconds, rows.values(), strict=True):
+    around = [0.0, *seconds, math.inf]
+    for place, (name, row) in enumerate(rows.items()):
+        before, second, after = around[place : place + 3]
         axes.annotate(
             name,
             (second, max(row[2:])),
             (0, 6),
             textcoords="offset points",
-            ha="center",
+            # names of presets that take about as long go apart
+            ha="right"
+            if after < CLOSE * second
+            else "left"
+            if before > second / CLOSE
+            else "center",
         )
     axes.set(
         xscale="log", xlabel="CPU seconds of a frame", ylabel="mean error, % of N"
     )
-    axes.set_xticks(seconds, [f"{second:g}" for second in seconds])
+    ticks = [tick for tick in TICKS if tick < 1.5 * max(seconds)]
+    axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
     axes.set_ylim(0, 1.25 * max(max(row[2:]) for row in rows.values()))
     axes.grid(color=FAINT, alpha=0.3)

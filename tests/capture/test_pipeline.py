@@ -219,7 +219,11 @@ def test_a_predictor_on_a_device_answers_by_its_graph(monkeypatch: pytest.Monkey
     torch.testing.assert_close(first.index, expected.index, atol=1e-5, rtol=0)
     assert torch.equal(first.index, again.index)
     assert not torch.equal(first.index, other.index)
-    assert first.compensations[0].light is not None
+    light, same = (depth.compensations[0].light for depth in (first, expected))
+    assert light is not None
+    assert same is not None
+    torch.testing.assert_close(light.exposure, same.exposure)
+    torch.testing.assert_close(light.falloff, same.falloff, atol=1e-4, rtol=1e-3)
     assert first.images["cam1"].equal(expected.images["cam1"])
     assert first.images["cam1"].equal(images["cam1"].flip(0).float() / 255)
 

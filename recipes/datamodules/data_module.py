@@ -77,7 +77,8 @@ class TrainingBatches(Sampler[list[int]]):
             given.
         start: batches that all processes together have used up, when training resumes.
         rank: of the process, from 0.
-        world: number of processes, which take batches in turns: together they take those of one process.
+        world: number of processes, which take batches in turns: together they take those of one process. What they take
+            at the same time is of one group, so that none waits long for another.
 
     Examples:
         >>> stream = TrainingStream([{}] * 6)
@@ -111,14 +112,17 @@ class TrainingBatches(Sampler[list[int]]):
         return islice(self._batches(), first, first + self.length * self.world, self.world)
 
     def _batches(self) -> Iterator[list[int]]:
-        """The batches of all processes from the first one on."""
+        """The batches of all processes from the first one on, as many of a group in a row as there are processes."""
         waiting: defaultdict[Hashable, list[int]] = defaultdict(list)
+        in_a_row: defaultdict[Hashable, list[list[int]]] = defaultdict(list)
         size = self.batch_size
         for position in count():
             group = 0 if self.group is None else self.group(self.stream.index_at(position))
             waiting[group].append(position)
             if len(waiting[group]) == (size(group) if callable(size) else size):
-                yield waiting.pop(group)
+                in_a_row[group].append(waiting.pop(group))
+                if len(in_a_row[group]) == self.world:
+                    yield from in_a_row.pop(group)
 
 
 def _begin_worker(number: int) -> None:

@@ -219,8 +219,16 @@ def test_batches_hold_one_group_and_leave_nothing_out(world: int) -> None:
     assert len(set(positions)) == len(positions)
     # At most one sample of each group waits.
     assert set(range(len(positions) - 3)) <= set(positions)
-    shares = [batches(10, 6, rank, world) for rank in range(world)]
-    assert [batch for step in zip(*shares, strict=True) for batch in step] == whole[6 : 6 + 10 * world]
+    # Processes take batches of one group at a time, and together those of one process.
+    steps = list(zip(*(batches(60, rank=rank, world=world) for rank in range(world)), strict=True))
+    for step in steps:
+        assert len({stream.index_at(positions[0]) % 3 for positions in step}) == 1
+    taken = [batch for step in steps for batch in step]
+    assert len({tuple(batch) for batch in taken}) == len(taken)
+    known = batches(60 * world)
+    assert len([batch for batch in known if batch not in taken]) <= 3 * (world - 1)
+    shares = [batches(10, 2 * world, rank, world) for rank in range(world)]
+    assert list(zip(*shares, strict=True)) == steps[2:12]
 
 
 def test_batches_of_random_rigs_have_as_many_cameras_each() -> None:

@@ -11,7 +11,12 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.icosphere.adjacency import icosphere_face_neighbors
 from sphericalvision.icosphere.descent import descend
 from sphericalvision.icosphere.fast.octahedron import cell_centers, cell_numbers
-from sphericalvision.icosphere.fast.triangle_table import coefficients, find_triangles, triangle_table
+from sphericalvision.icosphere.fast.triangle_table import (
+    coefficients,
+    find_in_few_steps,
+    find_triangles,
+    triangle_table,
+)
 
 CPU = torch.device("cpu")
 
@@ -49,6 +54,17 @@ def test_cells_know_the_triangle_in_their_middle(level: int) -> None:
     assert len(table.cells) == centers.shape[1] == 2 * table.resolution**2
     shares = coefficients(centers, table.cells, table)
     assert (shares.amin(0) >= -16 * 2**level * torch.finfo(torch.float32).eps * shares.sum(0)).all()
+
+
+@pytest.mark.parametrize("level", [1, 6, 8])
+def test_as_many_steps_for_any_rays_end_in_their_triangles(level: int, generator: torch.Generator) -> None:
+    """At a level as fine as the last one, too, where there are fewer cells for a triangle."""
+    table = triangle_table(level, torch.float32, CPU)
+    rays = torch.randn(3, 300_000, generator=generator)
+    triangles, weights = find_in_few_steps(rays, table)
+    shares = coefficients(rays, triangles, table)
+    assert (shares.amin(0) >= -16 * 2**level * torch.finfo(torch.float32).eps * shares.sum(0)).all()
+    torch.testing.assert_close(weights, (shares / shares.sum(0)).clamp(min=0), rtol=0, atol=5e-4)
 
 
 @pytest.mark.parametrize("steps", [0, 2, 200])

@@ -25,8 +25,9 @@ from sphericalvision.icosphere.topology import icosphere_faces
 
 __all__ = ["TriangleTable", "coefficients", "find_in_few_steps", "find_triangles", "triangle_table"]
 
-#: Cells along an edge of the octahedron: six for each triangle, within reason.
-CELLS, MOST_CELLS = 8, 512
+#: Cells along an edge of the octahedron: six for each triangle up to so many, at finer levels one and a half: a cell is
+#: always smaller than a triangle.
+CELLS, MANY_CELLS, FEWEST = 8, 512, 4
 #: Steps across edges before the way down is taken after all.
 STEPS = 16
 #: Steps where the loop cannot depend on the rays, as in exported programs: around a corner from the middle of a cell.
@@ -153,7 +154,7 @@ def _outside(shares: Tensor, level: int) -> Tensor:
 
 
 def _resolution(level: int) -> int:
-    return min(CELLS * 2**level, MOST_CELLS)
+    return max(min(CELLS * 2**level, MANY_CELLS), FEWEST * 2**level)
 
 
 def _without_cells(level: int, dtype: torch.dtype) -> TriangleTable:

@@ -48,8 +48,8 @@ from sphericalvision.core import (
     in_one_graph,
 )
 from sphericalvision.crown.by_lookups import Rings, hex_conv_by_lookups
-from sphericalvision.crown.fast import convolve_rectangles
-from sphericalvision.crown.hexpad import fill_charts, hex_pad
+from sphericalvision.crown.fast import convolve_charts, convolve_rectangles
+from sphericalvision.crown.hexpad import fill_charts, hex_pad, ring_values, vertices_of_charts
 from sphericalvision.crown.places import check_values
 from sphericalvision.crown.taps import COL_TAPS, HexagonWeights
 from sphericalvision.icosphere import icosphere_vertices, level_from_num_vertices
@@ -167,8 +167,7 @@ def _hex_conv2d(
             fraction = fraction[coarse_vertex_ids(level_from_num_vertices(len(north)), north.device)]
         along, next_one = both.chunk(2, 1)
         return torch.lerp(along, next_one, fraction)
-    charts, rings = hex_pad(values)
-    own = _oriented(charts, weight, bias, stride, _own_fraction(north, values, stride))
+    own, rings = _own_and_rings(values, weight, bias, stride, north)
     # The twelve vertices of valence five: what each tap reads of their rings, then one product with all taps.
     special = torch.einsum("bivj,vjt->bvit", rings, _ring_weights(rings, north)).flatten(2)
     special = (special @ weight.flatten(1).T).mT
@@ -205,8 +204,7 @@ def hex_conv3d(
         torch.Size([1, 8, 16, 42])
     """
     _check_conv(values, weight, 3, stride, north)
-    charts, rings = hex_pad(values)
-    own = _oriented(charts, weight, bias, stride, _own_fraction(north, values, stride))
+    own, rings = _own_and_rings(values, weight, bias, stride, north)
     windows = _repeat_ends(rings).unfold(2, 3, 1)  # three hypotheses for each, a view
     special = torch.einsum("binvjd,vjt->bnvidt", windows, _ring_weights(rings, north)).flatten(3)
     special = (special @ weight.flatten(1).T).permute(0, 3, 1, 2)
@@ -218,17 +216,24 @@ def _repeat_ends(values: Tensor) -> Tensor:
     return torch.cat((values[:, :, :1], values, values[:, :, -1:]), 2)
 
 
-def _oriented(
-    charts: Tensor, weight: Tensor, bias: Tensor | None, stride: int, fraction: Tensor | None
-) -> Tensor:
-    """Convolve charts with their border, or between two neighbouring orientations."""
-    charts = charts[..., stride - 1 :, :]  # a coarser chart begins at the second row of the finer one
+def _own_and_rings(
+    values: Tensor, weight: Tensor, bias: Tensor | None, stride: int, north: Tensor | None
+) -> tuple[Tensor, Tensor]:
+    """What charts own, convolved, or between two neighbouring orientations; and the rings of the special vertices."""
+    fraction = _own_fraction(north, values, stride)
+    if fraction is not None:
+        weight, bias = _two_orientations(weight, bias)
+    own = convolve_charts(values, weight, bias, vertices_of_charts) if stride == 1 else None
+    if own is not None:
+        rings = ring_values(values)
+    else:
+        charts, rings = hex_pad(values)
+        charts = charts[..., stride - 1 :, :]  # a coarser chart begins at the second row of the finer one
+        own = convolve_rectangles(charts, weight, COL_TAPS, bias, stride, border=True)
     if fraction is None:  # taps follow the chart
-        return convolve_rectangles(charts, weight, COL_TAPS, bias, stride, border=True)
-    kernels, biases = _two_orientations(weight, bias)
-    both = convolve_rectangles(charts, kernels, COL_TAPS, biases, stride, border=True)
-    along, next_one = both.chunk(2, 2)
-    return torch.lerp(along, next_one, fraction)
+        return own, rings
+    along, next_one = own.chunk(2, 2)
+    return torch.lerp(along, next_one, fraction), rings
 
 
 def _two_orientations(weight: Tensor, bias: Tensor | None) -> tuple[Tensor, Tensor | None]:

@@ -14,10 +14,11 @@ vertices of the icosahedron have five neighbours, so they are gathered apart, as
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int32
 from torch import Tensor
 
 from sphericalvision.core import constant_table
@@ -25,7 +26,7 @@ from sphericalvision.crown.places import check_values, own_charts
 from sphericalvision.crown.unfolding import empty_as, fill_north_and_east, fold_north_and_east
 from sphericalvision.icosphere import level_from_num_vertices
 
-__all__ = ["fill_charts", "hex_pad", "ring_ids"]
+__all__ = ["fill_charts", "hex_pad", "ring_ids", "ring_values", "vertices_of_charts"]
 
 
 def ring_ids(level: int) -> list[list[int]]:
@@ -106,6 +107,37 @@ def hex_pad(
     """
     check_values(values)
     return _Pad.apply(values)
+
+
+def ring_values(values: Float[Tensor, "B C *N V"]) -> Float[Tensor, "B C *N 12 6"]:
+    """Return the rings of the special vertices alone, as ``hex_pad`` does.
+
+    Examples:
+        >>> ring_values(torch.arange(12.0).view(1, 1, 12))[0, 0, 0]
+        tensor([1., 3., 5., 7., 9., 0.])
+    """
+    ids = _ring_table(level_from_num_vertices(values.shape[-1]), values.device)
+    return values.index_select(-1, ids).unflatten(-1, (12, 6))
+
+
+@lru_cache(maxsize=16)
+@torch.inference_mode(False)  # kept for training, too
+def vertices_of_charts(level: int) -> Int32[Tensor, "5 rows columns"]:
+    """Return which vertex is where in the charts of ``hex_pad``, ``(5, 2n + 2, n + 2)``, on the CPU.
+
+    The corners that are nobody's neighbours have the vertex beside them.
+
+    Examples:
+        >>> vertices_of_charts(0)[1]
+        tensor([[5, 0, 5],
+                [1, 3, 6],
+                [1, 4, 11],
+                [2, 2, 2]], dtype=torch.int32)
+    """
+    vertices = torch.arange(10 * 4**level + 2, dtype=torch.float64, device="cpu").view(1, 1, -1)
+    places = _pad(vertices)[0][0, :, 0].int()
+    places[:, 0, 0], places[:, -1, -1] = places[:, 0, 1], places[:, -1, -2]
+    return places
 
 
 def fill_charts(
@@ -196,7 +228,7 @@ def _pad(values: Tensor) -> tuple[Tensor, Tensor]:
     padded[..., n + 1 :, 0] = east[..., : n + 1]
     padded[..., -1, 1:-1] = east[..., n:]
 
-    return padded, values.index_select(-1, _ring_table(level, values.device)).unflatten(-1, (12, 6))
+    return padded, ring_values(values)
 
 
 def _unpad(padded: Tensor, rings: Tensor) -> Tensor:

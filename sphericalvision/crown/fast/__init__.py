@@ -11,6 +11,7 @@
 """
 
 from sphericalvision.crown.fast.door import (
+    convolve_charts,
     convolve_rectangles,
     convolve_vertices,
     normalize,
@@ -20,6 +21,7 @@ from sphericalvision.crown.fast.door import (
 )
 
 __all__ = [
+    "convolve_charts",
     "convolve_rectangles",
     "convolve_vertices",
     "normalize",

@@ -8,8 +8,10 @@ wherever they can.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
-from jaxtyping import Float, Shaped
+from jaxtyping import Float, Int32, Shaped
 from torch import Tensor
 from torch.nn.modules.batchnorm import _BatchNorm
 from torch.utils.checkpoint import checkpoint
@@ -22,6 +24,7 @@ from sphericalvision.crown.taps import ROW_TAPS, Taps, convolve
 from sphericalvision.icosphere import level_from_num_vertices
 
 __all__ = [
+    "convolve_charts",
     "convolve_rectangles",
     "convolve_vertices",
     "normalize",
@@ -134,15 +137,46 @@ def convolve_vertices(
         or torch.compiler.is_compiling()
     ):
         return None
-    volumes = (values.unsqueeze(2) if values.ndim == 3 else values).movedim(1, -1)
     col, row = (
-        _outward(
-            hex_convolution(volumes, weight, bias, across, False, relu, places).unflatten(0, (-1, 5)),
-            values.ndim + 2,
-        )
+        _convolve_at(places, values, weight, bias, bool(across), False, relu)
         for across, places in enumerate(vertices_at_places(level_from_num_vertices(values.shape[-1])))
     )
     return col, row
+
+
+def convolve_charts(
+    values: Float[Tensor, "B C *N V"],
+    weight: Float[Tensor, "O C taps"],
+    bias: Float[Tensor, " O"] | None,
+    places: Callable[[int], Int32[Tensor, "5 h w"]],
+) -> Float[Tensor, "B 5 O *N rows columns"] | None:
+    """Convolve the charts of values at stride 1 without making them; None where operators do not fit.
+
+    Args:
+        values: ``(B, in, [N,] V)``.
+        weight: ``(out, in, 7)`` or ``(out, in, 21)``.
+        bias: ``(out,)``.
+        places: of a level, which vertices are in charts and their border.
+    """
+    if not _operators_fit(values, weight) or torch.compiler.is_compiling():
+        return None
+    table = places(level_from_num_vertices(values.shape[-1]))
+    return _convolve_at(table, values, weight, bias, False, True, False)
+
+
+def _convolve_at(
+    places: Tensor,
+    values: Tensor,
+    weight: Tensor,
+    bias: Tensor | None,
+    across: bool,
+    border: bool,
+    relu: bool,
+) -> Tensor:
+    """Convolve what five tables of vertices lay out, as ``(B, 5, O, [N,] h, w)``."""
+    volumes = (values.unsqueeze(2) if values.ndim == 3 else values).movedim(1, -1)
+    result = hex_convolution(volumes, weight, bias, across, border, relu, places)
+    return _outward(result.unflatten(0, (-1, 5)), values.ndim + 2)
 
 
 def normalize(

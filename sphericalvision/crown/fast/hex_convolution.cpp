@@ -610,9 +610,9 @@ bool check(const at::Tensor& given, const at::Tensor& weight, const at::IntArray
   TORCH_CHECK(given.dim() == 5 && result.dim() == 5, "expected volumes (B, D, h, w, C)");
   TORCH_CHECK(given.scalar_type() == result.scalar_type() && given.scalar_type() == weight.scalar_type(),
               "expected one precision, got ", given.scalar_type(), ", ", result.scalar_type(), " and ", weight.scalar_type());
-  TORCH_CHECK(!places || (places->dim() == 3 && places->size(0) == CHARTS && places->is_contiguous() && !border &&
-                          places->numel() && places->scalar_type() == at::kInt),
-              "places: expected int32 (5, h, w), and no border");
+  TORCH_CHECK(!places || (places->dim() == 3 && places->size(0) == CHARTS && places->is_contiguous() && places->numel() &&
+                          places->scalar_type() == at::kInt),
+              "places: expected int32 (5, h, w)");
   const int64_t height = places ? places->size(1) : given.size(2), width = places ? places->size(2) : given.size(3);
   TORCH_CHECK((border == 0 || border == 1) && given.size(0) * (places ? CHARTS : 1) == result.size(0) &&
                   given.size(1) == result.size(1) && height == result.size(2) + 2 * border && width == result.size(3) + 2 * border,

@@ -129,10 +129,10 @@ def vertices_of_charts(level: int) -> Int32[Tensor, "5 rows columns"]:
 
     Examples:
         >>> vertices_of_charts(0)[1]
-        tensor([[5, 0, 5],
-                [1, 3, 6],
-                [1, 4, 11],
-                [2, 2, 2]], dtype=torch.int32)
+        tensor([[ 0,  0,  5],
+                [ 1,  3,  6],
+                [ 1,  4, 11],
+                [ 2,  2,  2]], dtype=torch.int32)
     """
     vertices = torch.arange(10 * 4**level + 2, dtype=torch.float64, device="cpu").view(1, 1, -1)
     places = _pad(vertices)[0][0, :, 0].int()

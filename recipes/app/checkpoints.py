@@ -29,7 +29,7 @@ def load_network(
 
     Args:
         checkpoint: ``.safetensors``, a Lightning ``.ckpt``, or ``.pth`` in the authors' format, or the
-            name of a network that ships with the package; the one for ``level`` when not given.
+            name of a network that ships with the package; ``refinedsweepnet`` when not given.
         level: of the images on the icosphere, instead of the level trained at, where the network has one.
         min_depth: nearest hypothesis in metres, instead of the one trained with.
 
@@ -38,7 +38,7 @@ def load_network(
         MissingFileError: no such file.
         FileFormatError: the file holds no network of this package.
     """
-    return read_network(checkpoint, level).with_changes(level=level, min_depth=min_depth).eval()
+    return read_network(checkpoint).with_changes(level=level, min_depth=min_depth).eval()
 
 
 def initialize(net: DepthNetwork, weights: str | Path) -> None:

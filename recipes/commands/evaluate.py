@@ -89,7 +89,7 @@ def instantiate_evaluation(config: DictConfig) -> Evaluation:
     otherwise.
     """
     level = config.model.level
-    net = read_network(config.checkpoint, level)
+    net = read_network(config.checkpoint)
     near = config.model.min_depth
     search: Literal["auto", "scene"] | None = None
     if isinstance(near, str):

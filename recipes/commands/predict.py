@@ -31,8 +31,8 @@ from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.capture.sources.frames import Selection, Source
 from sphericalvision.capture.sources.moving import Moving
 from sphericalvision.core import ArgumentError, FileFormatError
-from sphericalvision.models.weights.checkpoints import weights_for
 from sphericalvision.models.weights.files import identity_of
+from sphericalvision.models.weights.pretrained import DEFAULT
 from sphericalvision.recipes.app.captures import AUTO, PosedCapture, cut_to_visible, masked_by_itself
 from sphericalvision.recipes.app.checks import flat
 from sphericalvision.recipes.app.cli import choose_device, console, print_config, say
@@ -258,9 +258,7 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
         (folder / RECORD).unlink(missing_ok=True)
     print_config(config, folder)
     near = "found in the first frame" if predictor.min_depth is None else f"{predictor.min_depth:.3f} m"
-    weights = (
-        f", weights {config.checkpoint or weights_for(config.level)}" if config.method == "network" else ""
-    )
+    weights = f", weights {config.checkpoint or DEFAULT}" if config.method == "network" else ""
     console.print(f"nearest hypothesis {near}{weights}", markup=False)
     kinds = config.outputs or (("depth", "cloud", "npz") if source.rate == 0 else ("video",))
     settings = Settings(

@@ -75,7 +75,7 @@ class Predictor:
     Args:
         rig: calibrated cameras, for instance ``cameras.read_rig("capture/config.yaml")``; its masks are used.
         weights: a name of ``models.available_weights()``, a weights file, or a network; by default the one that
-            ships for ``level``: ``refinedsweepnet-fast`` for 5, ``refinedsweepnet`` from 6 on.
+            ships, ``refinedsweepnet``.
         method: ``"network"``, or ``"semi_global"``: a sweep without training at the level of the network.
         min_depth: nearest hypothesis in metres. ``"scene"`` estimates it from the first images, once, which takes one
             to three seconds. ``None`` is that of the training, scaled with the rig if the network was trained with rigs
@@ -136,7 +136,7 @@ class Predictor:
         check_choice("precision", precision, PRECISIONS)
         if level is not None:
             check_level(level)
-        net = weights if isinstance(weights, DepthNetwork) else read_network(weights, level)
+        net = weights if isinstance(weights, DepthNetwork) else read_network(weights)
         if num_hypotheses is not None:
             check_hypotheses(num_hypotheses, net.min_depth)
         check_number(net, rig)

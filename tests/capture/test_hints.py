@@ -230,7 +230,7 @@ def test_views_that_agree_with_nothing_are_left_out() -> None:
 def test_a_predictor_takes_hints_and_says_if_one_is_of_another_frame() -> None:
     rig = rig_of_four()
     images = render_rig(SCENE, rig, 1)
-    predictor = Predictor(rig, "refinedsweepnet-fast", min_depth=0.55)
+    predictor = Predictor(rig, level=5, min_depth=0.55)
     true = true_depth(rig)
 
     def mean_error(depth: Depth) -> float:

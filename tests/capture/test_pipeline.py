@@ -89,7 +89,7 @@ def test_a_whole_frame_is_computed_without_the_host(network: str) -> None:
     """From bytes to depth, by the networks themselves."""
     torch.manual_seed(0)
     paper = IcoSweepNet(4, 8, feature_channels=4).eval()
-    net = pretrained("refinedsweepnet-fast") if network == "shipped" else paper
+    net = pretrained().at_level(5) if network == "shipped" else paper
     predictor, images = Predictor(RIG, net, min_depth=0.55), room(loss=0.6)
     expected = predictor(images)
     options = {"preparation": Preparation(), "channels": "rgb"}

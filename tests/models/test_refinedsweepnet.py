@@ -381,7 +381,7 @@ def test_weights_without_layers_for_hints_have_those_of_the_beginning(net, frame
 def test_a_hint_helps_and_one_that_contradicts_the_images_hardly_harms():
     """With the weights that ship, in a room with bare walls; in directions of one camera alone it says the most."""
     net, rig = (
-        pretrained("refinedsweepnet-fast").eval(),
+        pretrained().at_level(5).eval(),
         ring_rig(4, image_size=(160, 160), field_of_view=2.4),
     )
     scene, to_sphere = make_scene("plain", seed=3), ToSphere(5)

@@ -262,20 +262,6 @@ def test_shipped_weights_load() -> None:
         assert pretrained(name).num_cameras > 0
 
 
-def test_the_network_for_level_5_is_the_default_one_a_level_coarser() -> None:
-    net = pretrained("refinedsweepnet-fast")
-    form = {**pretrained().hyperparameters, "level": 5, "coarse_level": 4}
-    assert {**net.hyperparameters, "coarse_level": net.coarse_level} == form
-
-
-@pytest.mark.parametrize(("wanted", "taken"), [(None, 6), (4, 5), (5, 5), (6, 6), (7, 6), (8, 6), (9, 6)])
-def test_without_a_name_the_weights_for_the_level_are_read(wanted: int | None, taken: int) -> None:
-    net, names = read_network(level=wanted), {5: "refinedsweepnet-fast", 6: "refinedsweepnet"}
-    assert net.level == taken
-    for name, tensor in pretrained(names[taken]).state_dict().items():
-        assert torch.equal(net.state_dict()[name], tensor)
-
-
 def test_weights_of_the_study_are_in_the_source_tree_or_named(monkeypatch: pytest.MonkeyPatch) -> None:
     assert pretrained("omnimvs-study").num_cameras == 4
     module = importlib.import_module("sphericalvision.models.weights.pretrained")

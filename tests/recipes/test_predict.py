@@ -257,9 +257,9 @@ def test_images_and_network_are_read_once(
         decoded.append(str(path))
         return read(path, *more)  # type: ignore[arg-type]
 
-    def read_network(weights: object, *more: object) -> object:
+    def read_network(weights: object) -> object:
         networks.append(weights)
-        return load(weights, *more)  # type: ignore[arg-type]
+        return load(weights)  # type: ignore[arg-type]
 
     monkeypatch.setattr(sphericalvision.io.images, "_decoded", read_pages)
     monkeypatch.setattr(sphericalvision.capture.predictor, "read_network", read_network)

@@ -64,7 +64,7 @@ def words(capture: Path, output: str, frames: str = "[0]") -> list[str]:
     return [
         f"calibration={capture}/rig.yaml",
         f"images={capture}/{{camera}}/{{frame}}.png",
-        "checkpoint=refinedsweepnet-fast",
+        "level=5",
         "min_depth=0.55",
         "outputs=[npz]",
         "height=32",

@@ -417,12 +417,12 @@ def test_a_video_becomes_a_video(
     assert not list((tmp_path / "out").glob(".*"))
 
 
-def test_a_preset_takes_the_weights_for_its_level_and_says_so(
+def test_weights_that_ship_serve_the_level_of_a_preset_and_are_named(
     run: Run, capture: Path, weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = rig_words(capture, f"images={capture}/images", "stop=1", "height=16")
     run("predict", *words, "preset=fast", "output=out", "outputs=[npz]")
-    assert "weights refinedsweepnet-fast" in " ".join(capsys.readouterr().out.split())
+    assert "weights refinedsweepnet" in " ".join(capsys.readouterr().out.split())
     with np.load(tmp_path / "out/000_depth.npz") as arrays:
         assert len(arrays["index"]) == 10 * 4**5 + 2
     run("predict", *words, "preset=fast", f"checkpoint={weights}", "output=own", "outputs=[npz]")

@@ -14,33 +14,20 @@ from sphericalvision.models.weights.filling import make_network
 from sphericalvision.models.weights.pretrained import STUDY, available_weights, pretrained
 from sphericalvision.models.weights.registry import network_class
 
-__all__ = ["read_network", "weights_for"]
+__all__ = ["read_network"]
 
 REFERENCE_SUFFIXES = (".pth", ".pt", ".tar")
 """Of checkpoints in the authors' format."""
-
-
-def weights_for(level: int | None = None) -> str:
-    """Name of the weights that ship for images of a level: one set up to level 5, and one from level 6 on.
-
-    Examples:
-        >>> weights_for(5), weights_for(7), weights_for()
-        ('refinedsweepnet-fast', 'refinedsweepnet', 'refinedsweepnet')
-    """
-    return "refinedsweepnet-fast" if level is not None and level <= 5 else "refinedsweepnet"
-
-
 WRAPPERS = ("_orig_mod.", "module.")
 """In front of the names of all weights of a network within ``torch.compile`` or a parallel module."""
 
 
-def read_network(source: str | Path | None = None, level: int | None = None) -> DepthNetwork:
+def read_network(source: str | Path | None = None) -> DepthNetwork:
     """Return the network of a file, of a training's checkpoint, or of weights that ship, on the CPU and in eval mode.
 
     Args:
         source: ``.safetensors``, a ``.ckpt`` of a training, or ``.pth`` in the format of the authors of IcoSweepNet or
-            RomniStereo; or the name of weights that ship with the package, by default those for ``level``.
-        level: of the images that default weights are for (``weights_for``). It does not change the network's own.
+            RomniStereo; or the name of weights that ship with the package, by default ``refinedsweepnet``.
 
     Raises:
         ArgumentError: the suffix is of no known format.
@@ -52,7 +39,7 @@ def read_network(source: str | Path | None = None, level: int | None = None) -> 
         'IcoSweepNet'
     """
     if source is None:
-        return pretrained(weights_for(level))
+        return pretrained()
     if str(source) in (*available_weights(), *STUDY) and not Path(source).exists():
         return pretrained(str(source))
     names = ", ".join(available_weights())

@@ -9,11 +9,13 @@ from sphericalvision.core import MissingFileError, check_choice
 from sphericalvision.models.depth_network import DepthNetwork
 from sphericalvision.models.weights.files import load_weights
 
-__all__ = ["STUDY", "available_weights", "pretrained"]
+__all__ = ["DEFAULT", "STUDY", "available_weights", "pretrained"]
 
 _HERE = Path(__file__).parent
 _SHIPPED = _HERE / "shipped"
 
+DEFAULT = "refinedsweepnet"
+"""Weights that are taken where none are named."""
 STUDY = ("icosweepnet-study", "omnimvs-study")
 """Networks that only the study and the depth benchmark compare with: in the folder ``study`` of the source tree, and
 not in an installed package, of which they were a quarter."""
@@ -29,7 +31,7 @@ def available_weights() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in _SHIPPED.glob("*.safetensors")))
 
 
-def pretrained(name: str = "refinedsweepnet") -> DepthNetwork:
+def pretrained(name: str = DEFAULT) -> DepthNetwork:
     """Return a trained network that ships with the package, on the CPU and in eval mode.
 
     Its model card, ``shipped/<name>.md`` next to this file, tells how it was trained and how accurate it is.

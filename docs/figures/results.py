@@ -40,10 +40,10 @@ PANORAMA = Equirectangular(180, 360)
 NEAR = 1.0  # metres, red
 #: Scenes in which the network errs most, and why.
 HARD = {
-    ("polished", 2): "a reflecting floor",
-    ("bare", 2): "walls without texture",
+    ("polished", 1): "a mirror on the wall",
+    ("plain", 5): "windows, and bars before them",
     ("floating", 5): "objects in front of each other",
-    ("outdoors", 2): "thin poles, and trees against the sky",
+    ("outdoors", 2): "thin poles before the sky",
 }
 
 

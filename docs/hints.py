@@ -164,6 +164,29 @@ def drive(
         )
 
 
+def of_drive(predictor: Predictor, scene: World) -> list[list[float]]:
+    """Flicker and error of each frame for itself, and with the frame before."""
+    off: dict[bool, list[Tensor]] = {False: [], True: []}
+    truths = []
+    last: Depth | None = None
+    for moved, images in drive(scene, predictor.rig):
+        at = predictor.with_changes(moved)
+        truth = index_of(
+            ray_depth(scene, moved.center, at.network.grid.directions).reciprocal()
+        )
+        truths.append(truth)
+        off[False].append(index_of(at(images).inverse_depth) - truth)
+        hint = None if last is None else Hint.of_depth(last, torch.eye(4))
+        last = at(images, hint)
+        off[True].append(index_of(last.inverse_depth) - truth)
+    stacks = [torch.stack(off[carried])[2:] for carried in (False, True)]
+    static = torch.stack(truths)[2:].std(0) < STATIC
+    return [
+        [float(stack.std(0)[static].mean()) for stack in stacks],
+        [float(stack.abs().mean()) for stack in stacks],
+    ]
+
+
 def of_drives(weights: str, level: int) -> str:
     """Flicker, the deviation over time of static directions, and the mean error of all, in hypotheses."""
     lines = [
@@ -171,30 +194,10 @@ def of_drives(weights: str, level: int) -> str:
         "|---|---:|---:|---:|---:|",
     ]
     for kind in KINDS:
-        scene, rig = (
-            make_scene(kind, SEEDS[0]),
-            ring_rig(4, image_size=(PIXELS, PIXELS)),
-        )
+        rig = ring_rig(4, image_size=(PIXELS, PIXELS))
         predictor = Predictor(rig, weights, level=level, min_depth=MIN_DEPTH)
-        off: dict[bool, list[Tensor]] = {False: [], True: []}
-        truths = []
-        last: Depth | None = None
-        for moved, images in drive(scene, rig):
-            at = predictor.with_changes(moved)
-            truth = index_of(
-                ray_depth(
-                    scene, moved.center, at.network.grid.directions
-                ).reciprocal()
-            )
-            truths.append(truth)
-            off[False].append(index_of(at(images).inverse_depth) - truth)
-            hint = None if last is None else Hint.of_depth(last, torch.eye(4))
-            last = at(images, hint)
-            off[True].append(index_of(last.inverse_depth) - truth)
-        stacks = [torch.stack(off[carried])[2:] for carried in (False, True)]
-        static = torch.stack(truths)[2:].std(0) < STATIC
-        flicker = [float(stack.std(0)[static].mean()) for stack in stacks]
-        error = [float(stack.abs().mean()) for stack in stacks]
+        drives = [of_drive(predictor, make_scene(kind, seed)) for seed in SEEDS]
+        flicker, error = torch.tensor(drives).mean(0).tolist()
         lines.append(
             f"| {kind} | {flicker[0]:.3f} | {flicker[1]:.3f} ({100 * (flicker[1] / flicker[0] - 1):+.0f} %) "
             f"| {error[0]:.2f} | {error[1]:.2f} ({100 * (error[1] / error[0] - 1):+.0f} %) |"

@@ -42,6 +42,8 @@ SAME_SURFACE = 0.8
 """Of the nearest inverse depth at a vertex, above which points lie on the same surface."""
 FORGETTING = 0.9
 """Share of the information of earlier frames that the next one keeps."""
+OUTVOTED = 2.0
+"""Information of earlier frames, of an unsure answer's, with which they stay once if it contradicts them."""
 SURPRISE, OUTLIER = 1.75, 4.0
 """Expected deviations up to which two frames show the same surface: in the mean of directions around, and in one."""
 
@@ -264,7 +266,8 @@ class CarriedDepth:
 
     The network does not see it, so any network may be steadied. Each of the two counts by its information, ``1 / σ²``
     by the confidence, and what is carried on fades from frame to frame. Where the two differ by more than both are
-    expected to be off, over several directions, something moved or was hidden, and the frame before is forgotten.
+    expected to be off, over several directions, something moved or was hidden, and the frame before is forgotten: at
+    once if the network is sure, and otherwise when two frames have contradicted.
 
     Args:
         depth: of one frame.
@@ -311,14 +314,19 @@ class CarriedDepth:
             for _ in range(2):
                 surprise = (surprise + surprise[ring].sum(1)) / 7
         same = (alone.abs() < OUTLIER) & (surprise.abs() <= SURPRISE) & (depth.index.flatten() > 0)
-        weight = weight.where(same, 0.0)
-        total = own + weight
-        mean = (own * now + weight * carried.where(same, 0.0)) / total
+        # Most of what is unsure and contradicts is a guess that the next frame does not repeat. What is left of earlier
+        # frames is less than they need to stay once more.
+        unsure = (depth.confidence.flatten() < SURE) & reached & (depth.index.flatten() > 0)
+        stays = ~same & unsure & (weight > OUTVOTED * own)
+        weight = weight.where(same, OUTVOTED * own * stays)
+        own = own.where(~stays, 0.0)
+        carries, total = same | stays, own + weight
+        mean = (own * now + weight * carried.where(carries, 0.0)) / total
         number = depth.network.num_hypotheses
         index = index_from_inverse_depth(mean, number, depth.min_depth).clamp(max=number - 1)
         return replace(
             depth,
-            index=index.to(depth.index).where(same, depth.index.flatten()).view_as(depth.index),
+            index=index.to(depth.index).where(carries, depth.index.flatten()).view_as(depth.index),
             accumulated=total.view_as(depth.index),
         )
 

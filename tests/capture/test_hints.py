@@ -176,6 +176,11 @@ def test_frames_are_averaged_and_what_moved_is_forgotten() -> None:
     unsure = replace(noisy(), confidence=torch.zeros_like(true.confidence))
     kept = Hint.of_depth(last, torch.eye(4)).averaged(unsure)
     torch.testing.assert_close(kept.index, last.index, rtol=0, atol=0.01)
+    guess = replace(true, index=true.index + 16.0 * there, confidence=torch.full_like(true.confidence, 0.5))
+    first = Hint.of_depth(last, torch.eye(4)).averaged(guess)  # unsure: a guess, until it is repeated
+    torch.testing.assert_close(first.index[there], last.index[there], rtol=0, atol=0.01)
+    again = Hint.of_depth(first, torch.eye(4)).averaged(guess)
+    assert float((again.index - guess.index).abs()[there].quantile(0.95)) < 0.3
     infinite = Hint.of_depth(last, torch.eye(4)).averaged(replace(true, index=0 * true.index))
     assert not infinite.index.any()
     batch = replace(true, index=true.index[None], confidence=true.confidence[None], seen=true.seen[None])

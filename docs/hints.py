@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a hint is worth, what a wrong one costs, and how steady the last frame makes the next: tables of the guide.
 
-Run from the root of the repository: ``python docs/hints.py``, two minutes; ``python docs/hints.py some.safetensors 5``
-for other weights and another level of the images.
+Run from the root of the repository: ``python docs/hints.py``, a few minutes;
+``python docs/hints.py some.safetensors 5`` for other weights and another level of the images.
 """
 
 from __future__ import annotations

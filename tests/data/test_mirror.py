@@ -37,6 +37,15 @@ def test_the_mirrored_rig_sees_the_mirrored_world() -> None:
     assert torch.equal(Mirror()(mirrored)["images"], images)
 
 
+def test_the_centre_is_mirrored() -> None:
+    rig, origin = ring_rig(3), torch.tensor([4e5, 0.0, 5e6]).double()
+    off_centre = CameraRig(rig.cameras, rig.world_from_camera, around=["cam2"], origin=origin)
+    mirrored = Mirror()({"valid": torch.arange(12), "rig": off_centre})["rig"]
+    exchange = torch.tensor([-1.0, 1.0, 1.0])
+    assert torch.equal(mirrored.center, off_centre.center * exchange)
+    assert torch.equal(mirrored.in_world().center, off_centre.in_world().center * exchange.double())
+
+
 def what_the_sweep_sees(images: Tensor, rig: CameraRig) -> tuple[Tensor, Tensor]:
     """Fields of view ``(n, V)``, and mean and best correlation and numbers of cameras, before any smoothing."""
     tables = semi_global_tables(rig, 8, 0.5, 4)

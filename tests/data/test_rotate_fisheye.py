@@ -86,6 +86,14 @@ def test_a_rotation_is_in_the_cameras_frame(sample: Sample) -> None:
         assert torch.equal(by_matrix["images"][name], each["images"][name])
 
 
+def test_the_centre_stays(sample: Sample) -> None:
+    rig, origin = sample["rig"], torch.tensor([4e5, 0.0, 5e6]).double()
+    sample["rig"] = CameraRig(rig.cameras, rig.world_from_camera, around=["cam2"], origin=origin)
+    turned = RotateFisheye(tilt=TILT)(sample)["rig"]
+    assert torch.equal(turned.center, sample["rig"].center)
+    assert torch.equal(turned.origin, origin)
+
+
 def test_masks_of_the_cameras_turn_with_them(sample: Sample) -> None:
     rig = sample["rig"]
     mask = torch.ones(96, 96, dtype=torch.bool)

@@ -156,4 +156,5 @@ def mirror_ids(level: int) -> Tensor:
 def _mirrored(rig: CameraRig) -> CameraRig:
     """World and cameras each with left and right exchanged: two reflections make a rotation."""
     exchange = torch.diag(rig.world_from_camera.new_tensor([-1.0, 1.0, 1.0, 1.0]))
-    return CameraRig(rig.cameras, exchange @ rig.world_from_camera @ exchange)
+    origin = rig.origin * exchange.diagonal()[:3].to(rig.origin)
+    return rig.replaced(world_from_camera=exchange @ rig.world_from_camera @ exchange, origin=origin)

@@ -90,7 +90,7 @@ class RotateFisheye:
         poses = rig.rotated(tilt=self.tilt).world_from_camera.clone()
         if self.rotation is not None:
             poses[..., :3, :3] = poses[..., :3, :3] @ self.rotation.to(poses)
-        turned = CameraRig(rig.cameras, poses)
+        turned = rig.replaced(world_from_camera=poses, masks={})
         return turned if self.image_size is None else turned.resized(self.image_size)
 
     def _make_remaps(self, rig: CameraRig) -> dict[str, Remap]:
@@ -104,7 +104,7 @@ class RotateFisheye:
 
     def _masked(self, after: CameraRig) -> CameraRig:
         masks = {name: self._remaps[name].mask() for name in after.names}
-        return CameraRig(after.cameras, after.world_from_camera, masks)
+        return after.replaced(masks=masks)
 
     def __repr__(self) -> str:
         return f"RotateFisheye(tilt={self.tilt}, rotation={self.rotation}, image_size={self.image_size})"

@@ -252,12 +252,12 @@ class WorldFrame:
     def _carried(self) -> tuple[Carried | None, bool]:
         """The scene with what carries the rig in it, and whether masks hide that."""
         scene, rig, draws = self.scene, self.true_rig, self.draws.carrier
-        kind, masked = self.world.carrier, self.world.masked > 0
+        kind = self.world.carrier
         if not isinstance(kind, str):
             if not kind or rig.masks or torch.rand((), generator=draws) >= kind:
                 return None, False
             kind = CARRIERS[int(torch.randint(len(CARRIERS), (), generator=draws))]
-            masked = bool(torch.rand((), generator=draws) < self.world.masked)
+        masked = bool(torch.rand((), generator=draws) < self.world.masked)
         assert isinstance(scene, Scene)  # no mesh, as World has checked
         return with_carrier(scene, kind, rig, self.seed), masked
 
@@ -316,7 +316,11 @@ class WorldFrame:
         """The rig as its calibration has it, with masks where these hide its carrier."""
         _, masked = self._carried
         rig = self.posed_rig
-        return rig.replaced(masks=self.free) if masked else rig
+        if not masked:
+            return rig
+        return rig.replaced(
+            masks={name: free & rig.masks.get(name, free) for name, free in self.free.items()}
+        )
 
     @cached_property
     def images(self) -> Images:

@@ -146,6 +146,11 @@ def test_a_carrier_is_in_view_and_in_the_truth_where_it_counts():
     hidden = World(rig, carrier="pole", masked=1.0).frame(3).rig.masks
     assert set(hidden) == set(rig.names)
     assert not any(mask.all() for mask in hidden.values())
+    lower = {"cam1": torch.arange(24)[:, None].expand(24, 24) > 3}
+    both = World(rig.replaced(masks=lower), carrier="pole", masked=1.0).frame(3).rig.masks
+    assert torch.equal(both["cam1"], hidden["cam1"] & lower["cam1"])
+    sometimes = World(rig, carrier="pole", masked=0.3)
+    assert 5 < sum(bool(sometimes.frame(seed).rig.masks) for seed in range(40)) < 20
 
 
 KNOWN = {

@@ -159,10 +159,14 @@ def write_pages(path: str | Path, pages: list[Array]) -> None:
     The file is encoded in memory first, so that a full disk is an error and never a shorter image.
 
     Raises:
+        ShapeError: a page has other channels.
         FileFormatError: the format named by the suffix cannot hold these pages.
         OSError: the file cannot be written.
     """
     path = Path(path)
+    for page in pages:
+        if page.shape[2:] not in ((), (1,), (3,)) or page.ndim < 2:
+            raise ShapeError(f"pages: expected (h, w) or RGB (h, w, 3), got {page.dtype} {page.shape}")
     stored = [page[..., ::-1] if page.ndim == 3 else page for page in pages]
     stored = [np.ascontiguousarray(page) for page in stored]
     try:
@@ -174,10 +178,18 @@ def write_pages(path: str | Path, pages: list[Array]) -> None:
         raise FileFormatError(
             f"{path}: cannot be written in the format of the suffix {path.suffix!r}: {error.err}"
         ) from error
-    if not ok:
+    if not ok or not _holds(encoded, stored):
         kinds = ", ".join(f"{page.dtype} {page.shape}" for page in stored)
         raise FileFormatError(f"{path}: the format of the suffix {path.suffix!r} cannot hold {kinds}")
     write_bytes(path, encoded.tobytes())
+
+
+def _holds(encoded: Array, pages: list[Array]) -> bool:
+    """Whether all pages are there in their types; of what it does not know, OpenCV makes 8 bits, cut off at 255."""
+    if len(pages) == 1 and pages[0].dtype in (np.uint8, bool):
+        return True
+    found = cv2.imdecodemulti(encoded, cv2.IMREAD_UNCHANGED)[1]
+    return [page.dtype for page in found] == [page.dtype for page in pages]
 
 
 def write_image(path: str | Path, image: Tensor | Array) -> None:
@@ -205,7 +217,7 @@ def write_image(path: str | Path, image: Tensor | Array) -> None:
                 f"{tuple(image.shape)}"
             )
         image = as_bytes(image)
-    if image.dtype != np.uint8 or image.ndim not in (2, 3):
+    if image.dtype != np.uint8 or image.ndim < 2 or image.shape[2:] not in ((), (1,), (3,)):
         raise ShapeError(f"image: expected uint8 (h, w) or (h, w, 3), got {image.dtype} {image.shape}")
     write_pages(path, [image[..., 0] if image.ndim == 3 and image.shape[-1] == 1 else image])
 

@@ -81,6 +81,24 @@ def test_errors_name_file_cause_and_remedy(tmp_path: Path) -> None:
         write_image(tmp_path / "a.png", torch.zeros(4, 6))
     with pytest.raises(FileFormatError, match=r"a\.nonsense"):
         write_image(tmp_path / "a.nonsense", torch.zeros(1, 4, 6))
+    for channels in (2, 4):  # OpenCV would take the last of four for blue, as the order is turned
+        page = np.zeros((4, 6, channels), np.uint8)
+        with pytest.raises(ShapeError, match=rf"image: expected .* got uint8 \(4, 6, {channels}\)"):
+            write_image(tmp_path / "a.png", page)
+        with pytest.raises(ShapeError, match=rf"pages: expected .* got uint8 \(4, 6, {channels}\)"):
+            write_pages(tmp_path / "a.png", [page])
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "count"),
+    [("a.jpg", np.uint16, 1), ("a.png", np.float32, 1), ("a.tiff", np.float16, 1), ("a.png", np.uint8, 2)],
+)
+def test_formats_that_cannot_hold_pages_are_refused(
+    tmp_path: Path, name: str, kind: type[np.generic], count: int
+) -> None:
+    with pytest.raises(FileFormatError, match=rf"{name}: the format .* cannot hold {kind.__name__} \(4, 6\)"):
+        write_pages(tmp_path / name, [np.ones((4, 6), kind)] * count)
+    assert not (tmp_path / name).exists()
 
 
 def test_orientation_is_ignored(tmp_path: Path) -> None:

@@ -182,7 +182,7 @@ def description(program: RigProgram) -> dict[str, str]:
         "seen": "bool, True where two cameras look; elsewhere depth is a guess",
         "grid": grid,
         "axes": "x right, y down, z forward, metres, in the world of the calibration",
-        "center": ", ".join(f"{value:.6g}" for value in rig.center.tolist()),
+        "center": ", ".join(f"{round(value, 6):.13g}" for value in rig.in_world().center.tolist()),
         "min_depth": f"{net.min_depth:.6g}",
         "num_hypotheses": str(net.num_hypotheses),
         "device": program.seen.device.type,

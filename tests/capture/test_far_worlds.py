@@ -21,7 +21,8 @@ from sphericalvision.cameras import (
     save_rig,
 )
 from sphericalvision.cameras.calibration.save import rig_formats
-from sphericalvision.capture import Depth
+from sphericalvision.capture import Depth, Predictor
+from sphericalvision.capture.export import RigProgram, description
 from sphericalvision.capture.fusing import FusedCloud
 from sphericalvision.capture.outputs import Outputs, Settings
 from sphericalvision.capture.points import SurfacePoints
@@ -176,6 +177,9 @@ def test_what_is_written_is_in_the_far_world(place: str, tmp_path: Path) -> None
     outputs.write("frame", depth)
     outputs.close()
     center = rig.in_world().center.numpy()
+    program = RigProgram(Predictor(rig, method="semi_global", level=3, min_depth=0.5), "sphere")
+    described = np.array([float(value) for value in description(program)["center"].split(", ")])
+    np.testing.assert_allclose(described, center, rtol=0, atol=1e-5)
     radius = float(depth.depth.nanmedian())
     for path in tmp_path.rglob("*.ply"):
         points = trimesh.load(path).vertices

@@ -188,8 +188,8 @@ class Hint:
 
         Args:
             depth: of one frame.
-            pose: ``(4, 4)`` from the world of its rig to that of the rig now. The identity where rigs move in one
-                world, as those of ``poses=`` do.
+            pose: ``(4, 4)`` from the world of its rig to that of the rig now, whatever the ``origin`` of each. The
+                identity where rigs move in one world, as those of ``poses=`` do.
         """
         return CarriedDepth(depth, pose)
 
@@ -295,7 +295,7 @@ class CarriedDepth:
         """Return the depth of the frame now, averaged with the one before; confidence and ``seen`` as they are."""
         _check_one_frame(depth)
         before, rays = self.depth, depth.directions.reshape(-1, 3)
-        pose = torch.linalg.inv(torch.as_tensor(self.pose).to(rays))
+        pose = self._from_now(depth).to(rays)
         now, own = depth.inverse_depth.flatten().float(), depth.information.flatten()
         points = (rays / now[:, None] + depth.rig.center.to(rays)) @ pose[:3, :3].T + pose[:3, 3]
         points = points - before.rig.center.to(points)
@@ -329,6 +329,13 @@ class CarriedDepth:
             index=index.to(depth.index).where(carries, depth.index.flatten()).view_as(depth.index),
             accumulated=total.view_as(depth.index),
         )
+
+    def _from_now(self, depth: Depth) -> Tensor:
+        """``(4, 4)`` from where the rig's positions now are counted from to where those before are."""
+        now, before = depth.rig.origin, self.depth.rig.origin
+        pose = torch.linalg.inv(torch.as_tensor(self.pose).to(now))  # float64: worlds may be far away
+        pose[:3, 3] += pose[:3, :3] @ now - before.to(now)
+        return pose
 
 
 def _check_one_frame(depth: Depth) -> None:

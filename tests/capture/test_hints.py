@@ -143,6 +143,16 @@ def test_the_last_frame_is_carried_on_by_the_pose() -> None:
     assert alone == pytest.approx(1 - 1 / 1.01, abs=1e-3)
     carried = Hint.of_depth(answer(moved), torch.eye(4)).averaged(off)  # both in one world
     assert relative_error(carried, rig) < 0.65 * alone
+    there, here = (torch.tensor(place).double() for place in ((4e5, 0.0, 5e6), (4e5 + 7, 0.0, 5e6 - 3)))
+    shifted = replace(answer(moved), rig=moved.replaced(origin=there))  # the same world, seen from two places
+    now = rig.replaced(world_from_camera=rig.world_from_camera.clone(), origin=here)
+    now.world_from_camera[:, :3, 3] += (there - here).float()
+    one_world = Hint.of_depth(shifted, torch.eye(4)).averaged(replace(off, rig=now))
+    torch.testing.assert_close(one_world.index, carried.index, rtol=0, atol=1e-3)
+    home = torch.eye(4).double()
+    home[:3, 3] = -there
+    own_world = Hint.of_depth(shifted, home).averaged(off)
+    torch.testing.assert_close(own_world.index, carried.index, rtol=0, atol=1e-3)
     back = Hint.of_depth(answer(moved), torch.linalg.inv(motion)).averaged(
         off
     )  # as if it had moved the other way

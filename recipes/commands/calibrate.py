@@ -153,20 +153,28 @@ def board_of(config: CalibrateConfig) -> Board:
 
 
 def _files(pattern: str) -> dict[str, dict[str, Path]]:
-    """Moment -> camera -> file, for a pattern with ``*`` or ``{frame}`` and, of a rig, ``{camera}``."""
-    pattern = re.sub(r"\{frame[^}]*\}", "*", str(pattern))
-    expression = (
-        re.escape(pattern).replace(r"\*\*/", "(.*)").replace(r"\*", "([^/]*)").replace(r"\?", "([^/])")
-    )
-    expression = expression.replace(r"\{camera\}", "(?P<camera>[^/]+)", 1)
+    """Moment -> camera -> file, for a pattern with ``*``, ``?`` or ``{frame}`` and, of a rig, ``{camera}``."""
+    wild, expression = "", ""
+    for part in re.split(r"(\{frame[^}]*\}|\{camera\}|\*\*/|[*?])", str(Path(pattern))):
+        if part == "{camera}":
+            wild += "*"
+            expression += "(?P=camera)" if "<camera>" in expression else "(?P<camera>[^/]+)"
+        elif part in ("**/", "?"):
+            wild += part
+            expression += "(.*)" if part == "**/" else "([^/])"
+        elif part == "*" or part.startswith("{frame"):
+            wild += "*"
+            expression += "([^/]*)"
+        else:
+            wild += glob.escape(part)
+            expression += re.escape(part)
     files: dict[str, dict[str, Path]] = {}
-    for path in sorted(glob.glob(pattern.replace("{camera}", "*"), recursive=True)):
-        match = re.fullmatch(expression, path)
-        camera, moment = LONE, path
-        if match is not None:
-            camera = match.groupdict().get("camera", LONE)
-            own = match.re.groupindex.get("camera")
-            moment = " ".join(text for number, text in enumerate(match.groups(), 1) if number != own)
+    for path in sorted(glob.glob(wild, recursive=True)):
+        if (match := re.fullmatch(expression, path)) is None:
+            continue  # of another camera than the folder that it is in
+        camera = match.groupdict().get("camera", LONE)
+        own = match.re.groupindex.get("camera")
+        moment = " ".join(text for number, text in enumerate(match.groups(), 1) if number != own)
         files.setdefault(moment, {})[camera] = Path(path)
     if not files:
         raise MissingFileError(

@@ -123,15 +123,16 @@ def test_views_in_one_picture_or_video_are_those_of_their_cameras(
 ) -> None:
     """Pictures of each camera, both in one, a video of such, and one with two streams: the same corners."""
     pytest.importorskip("av")
-    write_boards(tmp_path / "views/back")
+    write_boards(tmp_path / "views[1]/back")
     pairs = []
-    for number, path in enumerate(sorted((tmp_path / "views/back").glob("*.png"))):
+    for number, path in enumerate(sorted((tmp_path / "views[1]/back").glob("*.png"))):
         if number > 3:
             path.unlink()
             continue
         back = (255 * read_image(path)).round().byte().movedim(0, -1).numpy()
         front = np.roll(back, number % 3 - 1, 1)
-        write_image(tmp_path / f"views/front/{path.name}", front)
+        write_image(tmp_path / f"views[1]/front/front_{path.name}", front)
+        path.rename(path.with_stem(f"back_{path.stem}"))
         write_image(tmp_path / f"both/{path.name}", np.concatenate((back, front), 1))
         pairs.append((back, front))
     write_streams(tmp_path / "wide.mkv", [[np.concatenate(pair, 1) for pair in pairs]], "ffv1")
@@ -146,7 +147,7 @@ def test_views_in_one_picture_or_video_are_those_of_their_cameras(
         raise ArgumentError("stop: boards are found")
 
     monkeypatch.setattr(commands, "calibrate_rig", stop)
-    for images in ("views/{camera}/*.png", "both/*.png", "wide.mkv", "streams.mkv"):
+    for images in ("views[1]/{camera}/{camera}_*.png", "both/*.png", "wide.mkv", "streams.mkv"):
         names = () if "{" in images else ("cameras=[back,front]",)
         assert "boards are found" in failing("calibrate", f"images={tmp_path}/{images}", *names, *words)
     assert list(found[0][0]) == ["back", "front"]
@@ -157,7 +158,7 @@ def test_views_in_one_picture_or_video_are_those_of_their_cameras(
         assert torch.equal(seen, found[0][2])
     message = failing("calibrate", f"images={tmp_path}/streams.mkv", *words)
     assert "has 2 video streams; name their cameras" in message
-    message = failing("calibrate", f"images={tmp_path}/views/{{camera}}/*.png", "cameras=[a,b]", *words)
+    message = failing("calibrate", f"images={tmp_path}/views[1]/{{camera}}/*.png", "cameras=[a,b]", *words)
     assert "cameras: they are those in one picture or video" in message
     message = failing("calibrate", f"images={tmp_path}/wide.mkv", "cameras=[a,b,c,d,e,f,g]", *words)
     assert "cameras: 7 views in rows and columns do not fill a picture of 640 x 240" in message

@@ -18,6 +18,9 @@ _UNITS = ((1e12, 4.2e12, 1e-3), (1e15, 4.2e15, 1e-6))
 """From, to and seconds: times since 1970 from 2001 to 2103 in milliseconds and microseconds."""
 _NANOSECONDS_FROM = 1e13
 """Larger numbers are nanoseconds, since 1970 or since a device was switched on hours ago."""
+_SINCE_1970 = 1e9
+"""Seconds; no count, resolution or date of a file's name is as large."""
+_DATE = re.compile(r"(19|20)\d\d(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])([01]\d|2[0-3])([0-5]\d){2}(\d{3})?")
 
 
 def seconds(names: Sequence[str]) -> list[float | None]:
@@ -25,20 +28,30 @@ def seconds(names: Sequence[str]) -> list[float | None]:
 
     A time is a number, with a sign, decimals or an exponent or without: nanoseconds, microseconds, milliseconds or
     seconds by its magnitude; or two numbers, seconds and their fraction in nanoseconds, or in microseconds where no
-    name of all has more than six digits of it. A word before the first underscore does not matter (``cloud_...``).
+    name of all has more than six digits of it and seconds are since 1970. A word before the first underscore
+    (``cloud_...``) may stand before times since 1970 or in nanoseconds: ``frame_12`` is a count, ``1920_1080`` a
+    size. Dates (``20240131_235959``, ``20240131235959``) are no times, as they do not tell fractions of seconds.
 
     Examples:
         >>> seconds(["cloud_1700000000_250000000", "1700000000.25", "1700000000250000000", "1.70000000025e+18"])
         [1700000000.25, 1700000000.25, 1700000000.25, 1700000000.25]
         >>> seconds(["1700000000250000", "1700000000250", "left"]), seconds(["1700000000_250000"])
         ([1700000000.25, 1700000000.25, None], [1700000000.25])
+        >>> seconds(["12", "frame_12", "1920_1080", "20240131_235959"])
+        [12.0, None, None, None]
     """
     stems = [re.sub(r"^[A-Za-z]+_(?=\d)", "", name) for name in names]
+    if all(map(_DATE.fullmatch, stems)):
+        return [None] * len(names)
     parts = [_PARTS.fullmatch(stem) for stem in stems]
-    fraction = 1e-9 if any(len(part[2]) > 6 for part in parts if part) else 1e-6
-    return [
-        int(part[1]) + int(part[2]) * fraction if part else _of_number(stem)
+    is_nano = any(len(part[2]) > 6 for part in parts if part)
+    times = [
+        int(part[1]) + int(part[2]) * (1e-9 if is_nano else 1e-6) if part else _of_number(stem)
         for stem, part in zip(stems, parts, strict=True)
+    ]
+    return [
+        time if time is None or time >= _SINCE_1970 or (is_nano if part else stem == name) else None
+        for name, stem, part, time in zip(names, stems, parts, times, strict=True)
     ]
 
 

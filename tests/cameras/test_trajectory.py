@@ -228,6 +228,13 @@ def test_up_can_be_what_the_camera_held_up() -> None:
         (["0", "1", "2", "3"], ["000001", "000003"], None, {"000001": 1, "000003": 3}),  # rows
         (["5.0", "6.0"], ["000005", "000006"], None, {"000005": 0, "000006": 1}),  # numbers are no times
         (["0.0", "0.1", "0.2", "0.3"], ["x", "y"], [0.1, 0.3], {"x": 1, "y": 3}),  # of a video
+        (
+            ["0.0", "1.0", "2.0"],
+            ["img_0", "img_1", "img_2"],
+            None,
+            {},
+        ),  # counts after a word, as many as poses
+        (["0.0", "2.0"], ["img_1", "img_2"], None, {}),  # counted from 1
     ],
 )
 def test_images_find_their_poses(

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.capture.hints import Hint
+from sphericalvision.capture.hints import Hint, inverse_of
 from sphericalvision.capture.sources.frames import find_capture
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.data.point_files import read_points
@@ -26,6 +26,8 @@ __all__ = ["HintFiles"]
 
 POINTS = (".ply", ".pcd", ".bin")
 MILLIMETRES = 1000.0
+MOST = 65535
+"""That 16 bits hold: what is farther, or was not measured."""
 MOST_COLUMNS = 16
 """Of an array of points; images are wider."""
 
@@ -38,9 +40,9 @@ class HintFiles:
     =========================  ==================================================================================
     ``.ply`` ``.pcd`` ``.bin`` points of a scanner in the frame of the calibration, metres
     ``.npy``                   such points ``(P, 3)``; or an image of depth
-    image                      depth, 0 where unknown: 16 bits in millimetres, or floating point in metres; of each
-                               camera where the pattern has ``{camera}``, of any size; else a panorama, twice as
-                               wide as high
+    image                      depth: 16 bits in millimetres, 0 and 65535 where unknown, or floating point in
+                               metres, 0 and infinite where unknown; of each camera where the pattern has
+                               ``{camera}``, of any size; else a panorama, twice as wide as high
     ``.npz``                   as ``sphericalvision-predict outputs=[npz]`` writes it
     =========================  ==================================================================================
 
@@ -103,7 +105,7 @@ class HintFiles:
                 "cameras need {camera} in the pattern"
             )
         if self.fit != "affine":
-            values = 1 / values.where(values != 0, torch.nan)
+            values = inverse_of(values)
         return Hint.of_directions(Equirectangular(height, width).directions, values, fit=self.fit)
 
 
@@ -120,8 +122,8 @@ def _image(path: Path) -> Tensor:
             f"{path}: expected depth (h, w), 16 bits in millimetres or floating point in metres, got {page.dtype} "
             f"{page.shape}; pictures in colours show depth, they do not hold it"
         )
-    scale = MILLIMETRES if page.dtype == np.uint16 else 1.0
-    return torch.from_numpy(page.astype(np.float32) / np.float32(scale))
+    values = torch.from_numpy(page.astype(np.float32))
+    return values if page.dtype != np.uint16 else values.where(values < MOST, torch.inf) / MILLIMETRES
 
 
 def _arrays(path: Path) -> tuple[Tensor, Tensor, Tensor]:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from sphericalvision.capture.result import Depth
     from sphericalvision.sphere.resampling.views import Views
 
-__all__ = ["FITS", "CarriedDepth", "Hint", "HintView", "warn_if_far"]
+__all__ = ["FITS", "CarriedDepth", "Hint", "HintView", "inverse_of", "warn_if_far"]
 
 FITS = ("metres", "scale", "affine")
 COMPARED = 2000
@@ -176,7 +176,7 @@ class Hint:
             factor = rays[..., 2].flatten() if quantity == "z" else None
             values = image.flatten().float()
             if fit != "affine":
-                values = 1 / values.where(values != 0, torch.nan)
+                values = inverse_of(values)
             usable = usable.flatten() & ((rays[..., 2].flatten() > 1e-3) | (quantity == "range"))
             start = None if at_center else pose[:3, 3]
             parts.append(_view(start, rays.reshape(-1, 3) @ pose[:3, :3].T, values, factor, weight, usable))
@@ -341,6 +341,11 @@ class CarriedDepth:
 def _check_one_frame(depth: Depth) -> None:
     if depth.batch_shape:
         raise ArgumentError("depth: expected that of one frame; take one of the batch with depth.select(i)")
+
+
+def inverse_of(depth: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
+    """Return inverse depth, NaN where depth is 0 or infinite: sensors say so where they measured nothing."""
+    return 1 / depth.where((depth != 0) & depth.isfinite(), torch.nan)
 
 
 def warn_if_far(hint: DepthHint, depth: Depth) -> None:

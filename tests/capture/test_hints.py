@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -14,9 +16,11 @@ from torch import Tensor
 from sphericalvision import Predictor
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Depth, Hint
+from sphericalvision.capture.hint_files import HintFiles
 from sphericalvision.core import ArgumentError, ArgumentTypeError, ShapeError
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.io.images import write_pages
 from sphericalvision.models import WinnerTakesAll
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.sphere import Equirectangular
@@ -224,6 +228,29 @@ def test_wrong_hints_are_refused() -> None:
         Hint.of_views(torch.ones(4, 1, 5, 5))  # type: ignore[arg-type]
     with pytest.raises(ShapeError, match=re.escape("views: expected depth (1, h, w) of cam1")):
         Hint.of_views(Views({name: torch.ones(3, 160, 160) for name in rig.names}, rig))
+
+
+def test_infinite_pixels_say_nothing(tmp_path: Path) -> None:
+    rig = ring_rig(2, image_size=(40, 40))
+    true = {name: 2.0 + torch.rand(1, 40, 40) for name in rig.names}
+    known = {name: torch.rand(1, 40, 40) > 0.3 for name in rig.names}
+    zero, infinite = (
+        {name: image.where(known[name], unknown) for name, image in true.items()}
+        for unknown in (0, torch.inf)
+    )
+    expected = Hint.of_views(Views(zero, rig)).on(GRID, rig)
+    for got, wanted in zip(Hint.of_views(Views(infinite, rig)).on(GRID, rig), expected, strict=True):
+        assert torch.equal(got, wanted)
+    for name in rig.names:
+        millimetres = (1000 * zero[name][0]).round().where(known[name][0], 65535)
+        write_pages(tmp_path / f"{name}0.png", [millimetres.numpy().astype(np.uint16)])
+    panorama = torch.full((16, 32), 3.0)
+    panorama[:8] = torch.inf
+    write_pages(tmp_path / "0.tiff", [panorama.numpy()])
+    read = HintFiles(str(tmp_path / "{camera}{frame}.png"), ["0"], rig, torch.eye(4))("0")
+    torch.testing.assert_close(read.on(GRID, rig).weight, expected.weight)
+    around = HintFiles(str(tmp_path / "{frame}.tiff"), ["0"], rig, torch.eye(4))("0").views[0]
+    torch.testing.assert_close(around.values, torch.full((8 * 32,), 1 / 3))
 
 
 def test_views_that_agree_with_nothing_are_left_out() -> None:

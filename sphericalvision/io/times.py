@@ -29,16 +29,17 @@ def seconds(names: Sequence[str]) -> list[float | None]:
     A time is a number, with a sign, decimals or an exponent or without: nanoseconds, microseconds, milliseconds or
     seconds by its magnitude; or two numbers, seconds and their fraction in nanoseconds, or in microseconds where no
     name of all has more than six digits of it and seconds are since 1970. A word before the first underscore
-    (``cloud_...``) may stand before times since 1970 or in nanoseconds: ``frame_12`` is a count, ``1920_1080`` a
-    size. Dates (``20240131_235959``, ``20240131235959``) are no times, as they do not tell fractions of seconds.
+    (``cloud_...``) may stand before times since 1970, in nanoseconds or with decimals: ``frame_12`` is a count,
+    ``1920_1080`` a size. Dates (``20240131_235959``, ``20240131235959``) are no times, as they do not tell
+    fractions of seconds.
 
     Examples:
         >>> seconds(["cloud_1700000000_250000000", "1700000000.25", "1700000000250000000", "1.70000000025e+18"])
         [1700000000.25, 1700000000.25, 1700000000.25, 1700000000.25]
         >>> seconds(["1700000000250000", "1700000000250", "left"]), seconds(["1700000000_250000"])
         ([1700000000.25, 1700000000.25, None], [1700000000.25])
-        >>> seconds(["12", "frame_12", "1920_1080", "20240131_235959"])
-        [12.0, None, None, None]
+        >>> seconds(["12", "frame_12", "frame_12.5", "1920_1080", "20240131_235959"])
+        [12.0, None, 12.5, None, None]
     """
     stems = [re.sub(r"^[A-Za-z]+_(?=\d)", "", name) for name in names]
     if all(map(_DATE.fullmatch, stems)):
@@ -50,7 +51,9 @@ def seconds(names: Sequence[str]) -> list[float | None]:
         for stem, part in zip(stems, parts, strict=True)
     ]
     return [
-        time if time is None or time >= _SINCE_1970 or (is_nano if part else stem == name) else None
+        time
+        if time is None or time >= _SINCE_1970 or (is_nano if part else stem == name or "." in stem)
+        else None
         for name, stem, part, time in zip(names, stems, parts, times, strict=True)
     ]
 

@@ -39,10 +39,11 @@ def test_one_time_in_any_two_spellings_is_one_time(
 
 def test_words_tell_no_time_and_small_numbers_may_be_counts() -> None:
     assert seconds(["left", "a_b", "", "12", "0.5", "-3"]) == [None, None, None, 12.0, 0.5, -3.0]
-    no_times = ["frame_12", "img_0003.5", "1920_1080", "pano_1920_1080", "IMG_20240131_235959", "03_000012"]
+    no_times = ["frame_12", "1920_1080", "pano_1920_1080", "IMG_20240131_235959", "03_000012"]
     assert seconds(no_times) == [None] * len(no_times)
     for dates in (["20240131_235958", "20240131_235959"], ["20240131235959", "20240131235958123"]):
         assert seconds(dates) == [None, None]
+    assert seconds(["frame_0.000000", "frame_0.033333"]) == [0, 0.033333]
     assert seconds(["cloud_12_250000000", "12_5"]) == [12.25, pytest.approx(12.000000005, abs=1e-10)]
     assert are_counts(["000001", "12"])
     assert not are_counts(["000001", "12.0"])

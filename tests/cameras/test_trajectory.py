@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -64,6 +65,21 @@ TABLES = {
 }
 
 
+TWO_COLUMNS = {
+    header: re.sub(
+        r"\n(\d{10})", r"\n0,\1,", table(way(), f"# count, {header}, x, y, z, qx, qy, qz, qw", W_LAST)
+    )
+    for header in (
+        "sec, nsec",
+        "secs, nsecs",
+        "sec, nanosec",
+        "header.stamp.sec, header.stamp.nanosec",
+        "timestamp_s, timestamp_ns",
+        "seconds, nanoseconds",
+    )
+}
+
+
 COMMAS = [
     tum(way()),
     table(way(), "time;x;y;z;qx;qy;qz;qw", W_LAST, ";"),
@@ -88,12 +104,13 @@ def kitti(poses: torch.Tensor, rows: int, numbered: bool) -> str:
     [
         (tum(way()), ["1305031102.000000", "1305031102.100000"]),
         *((text, NANOSECONDS) for text in TABLES.values()),
+        *((text, ["1305031102.000000000", "1305031102.100000000"]) for text in TWO_COLUMNS.values()),
         (kitti(way(), 3, False), ["0", "1"]),
         (kitti(way(), 4, False), ["0", "1"]),
         (kitti(way(), 3, True), ["0", "7"]),
         (kitti(way(), 4, True), ["0", "7"]),
     ],
-    ids=["tum", *TABLES, "kitti", "kitti, 4 rows", "kitti-360", "kitti-360, 4 rows"],
+    ids=["tum", *TABLES, *TWO_COLUMNS, "kitti", "kitti, 4 rows", "kitti-360", "kitti-360, 4 rows"],
 )
 def test_texts_tell_poses_and_names(text: str, names: list[str], tmp_path: Path) -> None:
     (tmp_path / "poses.txt").write_text(text + "\n")
@@ -280,8 +297,12 @@ def test_images_without_poses_are_refused() -> None:
             "expected TUM's",
         ),  # commas, and nothing says which column is which
         (table(way(), "# time x y z qw qx qy qz extra", W_FIRST, " "), "the header names 9 columns"),
+        (
+            "# sec nsec x y z qx qy qz qw\n0.5 7 0 0 0 0 0 0 1",
+            "line 2: expected whole seconds and nanoseconds .* got 0.5 and 7",
+        ),
     ],
-    ids=["commas without a header", "more names than values"],
+    ids=["commas without a header", "more names than values", "decimals beside nanoseconds"],
 )
 def test_a_table_whose_columns_are_not_known_is_refused(tmp_path: Path, text: str, said: str) -> None:
     (tmp_path / "data.csv").write_text(text)

@@ -108,10 +108,22 @@ class Bag(Files):
 
     def sizes(self) -> dict[str, tuple[int, int]]:
         """Camera name -> (height, width) of its images, of the first frame."""
-        images = self._images(next(iter(self.files.values())))
+        images = self._pictures(next(iter(self.files.values())))
         return {name: (image.shape[0], image.shape[1]) for name, image in images.items()}
 
     def _images(self, files: Mapping[str, Any]) -> dict[str, npt.NDArray[np.uint8]]:
+        """The images of a frame, of the calibration's sizes."""
+        images = self._pictures(files)
+        for name, image in images.items():
+            height, width = self.rig.cameras[name].image_size
+            if image.shape[:2] != (height, width):
+                raise FileFormatError(
+                    f"{self.path}: {self.topics[name]}: expected pictures of {width} x {height} pixels (width x height, "
+                    f"from the calibration), got one of {image.shape[1]} x {image.shape[0]}"
+                )
+        return images
+
+    def _pictures(self, files: Mapping[str, Any]) -> dict[str, npt.NDArray[np.uint8]]:
         """The images of a frame, by the times at which the bag has their messages."""
         images = {}
         with self._reader() as reader:

@@ -138,6 +138,7 @@ class Files:
         self.files, self.rig, self.whole = dict(files), rig, rig if whole is None else whole
         self.labels: dict[str, str] = {}
         self._sampled: dict[str, Frame] = {}
+        self._picture_size: tuple[int, int] | None = None  # of all views
 
     def times(self) -> None:
         """None: names tell times, if anything does."""
@@ -149,7 +150,9 @@ class Files:
             for files in list(self.files.values())[:3]:
                 with suppress(FileFormatError, OSError):
                     size = read_image_size(files[name] if name in files else files[""])
-                    sizes[name] = size if name in files else size_of_view(size, self.whole)
+                    if name not in files:
+                        self._picture_size, size = size, size_of_view(size, self.whole)
+                    sizes[name] = size
                     break
         return sizes
 
@@ -182,7 +185,14 @@ class Files:
     def _images(self, files: Mapping[str, Any]) -> dict[str, Any]:
         if "" not in files:
             return read_frame(files, self.rig)
-        views = split_views(read_image(files[""], what="a picture of all views").movedim(0, -1), self.whole)
+        picture = read_image(files[""], what="a picture of all views").movedim(0, -1)
+        height, width = self._picture_size = self._picture_size or (picture.shape[0], picture.shape[1])
+        if picture.shape[:2] != (height, width):
+            raise FileFormatError(
+                f"{files['']}: expected {width} x {height} pixels (width x height), as the first picture of all views "
+                f"has, got {picture.shape[1]} x {picture.shape[0]}"
+            )
+        views = split_views(picture, self.whole)
         return {name: views[name].movedim(-1, 0) for name in self.rig.names}
 
 

@@ -112,6 +112,15 @@ def test_topics_of_other_names_belong_to_cameras_in_their_order(tmp_path: Path) 
     np.testing.assert_array_equal(frame.images["cam2"], PICTURES["cam2"][1])
 
 
+def test_pictures_of_another_size_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(PICTURES, "cam2", [PICTURES["cam2"][0], PICTURES["cam2"][1, :6, :8]])
+    source = open_source(str(write(tmp_path / "run", encoding="png")), RIG)
+    first, second = source.frames(Selection(), lambda name: True)
+    assert first.images is not None
+    assert "/cam2/image_raw: expected pictures of 16 x 12 pixels (width" in str(second.error)
+    assert str(second.error).endswith("got one of 8 x 6")
+
+
 def test_a_mosaic_of_colours_becomes_a_picture(tmp_path: Path) -> None:
     source = open_source(str(write(tmp_path / "run", encoding="bayer_rggb8")), RIG)
     image = next(iter(source.samples())).images["cam1"]  # type: ignore[index]

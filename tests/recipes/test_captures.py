@@ -113,6 +113,13 @@ def test_stills_of_all_views_are_cut_as_videos_are(tmp_path: Path, cameras: list
             assert image.mean() == pytest.approx({"cam1": 0.2, "cam2": 0.4, "cam3": 0.8}[name], abs=0.01)
     with pytest.raises(ArgumentError, match="does not hold 4 views"):
         open_source(str(tmp_path / "{frame}.png"), ring_rig(4, image_size=(16, 16)))
+    views = views.movedim(-1, -2)  # one above the other, which the first are not
+    for frame, picture in {2: views[:, ::2, ::2], 3: views, 4: views[:, :20]}.items():
+        write_image(tmp_path / f"R{frame}.png", picture)
+    source = open_source(str(tmp_path), rig, cameras=cameras)
+    _, _, *others = source.frames(Selection(), lambda _: True)
+    for number, frame in enumerate(others, 2):
+        assert f"R{number}.png: expected 48 x 16 pixels (width x height), as the first" in str(frame.error)
 
 
 def test_frames_are_in_the_order_of_their_numbers_and_complete(tmp_path: Path) -> None:

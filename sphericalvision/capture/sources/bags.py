@@ -118,8 +118,8 @@ class Bag(Files):
             height, width = self.rig.cameras[name].image_size
             if image.shape[:2] != (height, width):
                 raise FileFormatError(
-                    f"{self.path}: {self.topics[name]}: expected pictures of {width} x {height} pixels (width x height, "
-                    f"from the calibration), got one of {image.shape[1]} x {image.shape[0]}"
+                    f"{self.path}: {self.topics[name]}: expected pictures of {width} x {height} pixels (width x "
+                    f"height, from the calibration), got one of {image.shape[1]} x {image.shape[0]}"
                 )
         return images
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError
@@ -17,7 +17,7 @@ def depth_index_error(
     pred_index: Float[Tensor, "B V"],
     target_index: Float[Tensor, "B V"],
     num_hypotheses: int,
-    mask: Bool[Tensor, "B V"] | None = None,
+    mask: Shaped[Tensor, "B V"] | None = None,
     weights: Float[Tensor, " V"] | Float[Tensor, "B V"] | None = None,
 ) -> dict[str, Float[Tensor, " B"]]:
     """Return the errors of hypothesis indices for each image, in percent of the number of hypotheses.
@@ -61,7 +61,7 @@ def depth_index_error(
 def depth_error(
     pred_depth: Float[Tensor, "B V"],
     target_depth: Float[Tensor, "B V"],
-    mask: Bool[Tensor, "B V"] | None = None,
+    mask: Shaped[Tensor, "B V"] | None = None,
     weights: Float[Tensor, " V"] | Float[Tensor, "B V"] | None = None,
     max_depth: float = 100.0,
 ) -> dict[str, Float[Tensor, " B"]]:
@@ -98,7 +98,7 @@ def depth_error(
         raise ArgumentError(f"max_depth: expected a positive number of metres, got {max_depth!r}")
     in_range = (target_depth > 0) & (target_depth <= max_depth)
     shares = shares_of_points(
-        pred_depth, target_depth, in_range if mask is None else in_range & mask, weights
+        pred_depth, target_depth, in_range if mask is None else in_range & mask.bool(), weights
     )
     pred = pred_depth.clamp(max=max_depth).to(shares.dtype)
     target = target_depth.to(shares.dtype)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from abc import abstractmethod
 
 import torch
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Float, Shaped
 from torch import Tensor
 from torchmetrics import Metric
 
@@ -86,7 +86,7 @@ class MeanOverImages(Metric):
         self,
         pred: Float[Tensor, " B *grid"],
         target: Float[Tensor, " B *grid"],
-        mask: Bool[Tensor, " B *grid"] | None = None,
+        mask: Shaped[Tensor, " B *grid"] | None = None,
         weights: Float[Tensor, "*grid"] | Float[Tensor, " B *grid"] | None = None,
     ) -> None:
         """Add a batch: ``(B, V)`` predictions and truth, an optional ``(B, V)`` mask and ``(V,)`` weights."""

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
@@ -19,7 +19,7 @@ def omnimvs_error(
     pred_inverse_depth: Float[Tensor, "B h w"],
     target_inverse_depth: Float[Tensor, "B h w"],
     min_depth: float = 0.55,
-    mask: Bool[Tensor, "B h w"] | None = None,
+    mask: Shaped[Tensor, "B h w"] | None = None,
     num_hypotheses: int = NUM_HYPOTHESES,
 ) -> dict[str, Float[Tensor, " B"]]:
     """Return ``>1 >3 >5 MAE RMS`` of each image by the official protocol, in percent of N.

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 from jaxtyping import Float, Shaped
 from torch import Tensor
@@ -59,7 +60,39 @@ class ByRegion(Metric):
         **options: Tensor,
     ) -> None:
         """Add a batch: ``(B, V)`` predictions and truth, an optional ``(B, V)`` mask and what else the metric takes."""
-        self.everywhere.update(pred, target, mask, **options)
+        for _, metric, inside in self._parts(pred, mask):
+            metric.update(pred, target, inside, **options)
+
+    def forward(
+        self,
+        pred: Float[Tensor, "*#batch"],
+        target: Float[Tensor, "*#batch"],
+        mask: Shaped[Tensor, "*#batch"] | None = None,
+        **options: Tensor,
+    ) -> dict[str, Float[Tensor, " ..."]]:
+        """Add a batch as ``update`` does, and return the errors of it alone."""
+        self._computed, self._update_count = None, self._update_count + 1
+        return {
+            f"{prefix}{error}": value
+            for prefix, metric, inside in self._parts(pred, mask)
+            for error, value in metric(pred, target, inside, **options).items()
+        }
+
+    def merge_state(self, incoming_state: dict[str, Any] | Metric) -> None:
+        """Add what another ``ByRegion`` of the same regions has seen."""
+        if (
+            not isinstance(incoming_state, ByRegion)
+            or incoming_state.by_region.keys() != self.by_region.keys()
+        ):
+            raise ArgumentError(f"incoming_state: expected a ByRegion of the regions {list(self.by_region)}")
+        self._computed, self._update_count = None, self._update_count + incoming_state._update_count
+        self.everywhere.merge_state(incoming_state.everywhere)
+        for name, metric in self.by_region.items():
+            metric.merge_state(incoming_state.by_region[name])
+
+    def _parts(self, pred: Tensor, mask: Tensor | None) -> Iterator[tuple[str, Metric, Tensor | None]]:
+        """What stands before the names of errors, the metric and its mask, everywhere and in each region."""
+        yield "", self.everywhere, mask
         for name, metric in self.by_region.items():
             region = getattr(self, f"region_{name}")
             if region.shape != pred.shape[1:]:
@@ -68,7 +101,7 @@ class ByRegion(Metric):
                     f"{tuple(pred.shape)}"
                 )
             inside = region.expand(pred.shape)
-            metric.update(pred, target, inside if mask is None else inside & mask.bool(), **options)
+            yield f"{name}/", metric, inside if mask is None else inside & mask.bool()
 
     def compute(self) -> dict[str, Float[Tensor, " ..."]]:
         """Return the errors everywhere and in each region."""

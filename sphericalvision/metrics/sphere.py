@@ -8,7 +8,7 @@ angle make numbers of different grids, and of different sizes of one grid, the s
 from __future__ import annotations
 
 import torch
-from jaxtyping import Bool, Float, Int, Num
+from jaxtyping import Bool, Float, Integer, Num
 from torch import Tensor
 from torchmetrics import Metric
 
@@ -171,8 +171,8 @@ class SolidAngleIoU(_OnGrid):
 
     def update(
         self,
-        pred: Int[Tensor, " B *grid"],
-        target: Int[Tensor, " B *grid"],
+        pred: Integer[Tensor, " B *grid"],
+        target: Integer[Tensor, " B *grid"],
         mask: Bool[Tensor, " B *grid"] | None = None,
     ) -> None:
         """Add a batch of labels."""
@@ -184,6 +184,7 @@ class SolidAngleIoU(_OnGrid):
                 raise ArgumentError(
                     f"{name}: expected integers, got {labels.dtype}; convert labels with .long()"
                 )
+        predicted, true = predicted.long(), true.long()  # bytes would wrap around below
         weights = self._weights(true, mask)
         if self.ignore_index is not None:
             weights = weights * (true != self.ignore_index)
@@ -195,7 +196,7 @@ class SolidAngleIoU(_OnGrid):
                     f"{int(labels.max())}; leave others out by a mask or ignore_index"
                 )
         pair = true[counts] * self.num_classes + predicted[counts]
-        self.areas.view(-1).index_add_(0, pair.long(), weights[counts])
+        self.areas.view(-1).index_add_(0, pair, weights[counts])
 
     def compute(self) -> dict[str, Float[Tensor, " ..."]]:
         """Return accuracy and intersection over union."""

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
@@ -15,7 +15,7 @@ __all__ = ["LeftRightError", "StereoError", "left_right_error", "stereo_error"]
 def stereo_error(
     pred: Float[Tensor, "B V"],
     target: Float[Tensor, "B V"],
-    mask: Bool[Tensor, "B V"] | None = None,
+    mask: Shaped[Tensor, "B V"] | None = None,
     weights: Float[Tensor, " V"] | Float[Tensor, "B V"] | None = None,
 ) -> dict[str, Float[Tensor, " B"]]:
     """Return MAE, RMSE and MARE of depth or disparity for each image, in the unit of what is given.
@@ -44,7 +44,7 @@ def stereo_error(
         >>> {name: round(value.item(), 3) for name, value in errors.items()}
         {'MAE': 0.5, 'RMSE': 0.707, 'MARE': 0.5}
     """
-    counts = target > 0 if mask is None else mask & (target > 0)
+    counts = target > 0 if mask is None else mask.bool() & (target > 0)
     shares = shares_of_points(pred, target, counts, weights)
     error = absolute_error(pred, target)
     return {
@@ -55,7 +55,7 @@ def stereo_error(
 
 
 def left_right_error(
-    pred: Float[Tensor, "B h w"], target: Float[Tensor, "B h w"], mask: Bool[Tensor, "B h w"] | None = None
+    pred: Float[Tensor, "B h w"], target: Float[Tensor, "B h w"], mask: Shaped[Tensor, "B h w"] | None = None
 ) -> dict[str, Float[Tensor, " B"]]:
     """Return LRCE, the left-right consistency error, for each image.
 
@@ -85,7 +85,7 @@ def left_right_error(
         raise ShapeError(
             f"pred, target: expected (B, h, w) both, got {tuple(pred.shape)} and {tuple(target.shape)}"
         )
-    counts = target > 0 if mask is None else mask & (target > 0)
+    counts = target > 0 if mask is None else mask.bool() & (target > 0)
     steps = [values.double()[..., 0] - values.double()[..., -1] for values in (target, pred)]
     shares = shares_of_points(steps[1], steps[0], counts[..., 0] & counts[..., -1], None)
     return {"LRCE": weighted_mean(absolute_error(steps[1], steps[0]), shares)}

@@ -122,6 +122,32 @@ def test_images_without_a_point_are_out_of_the_mean_and_others_are_not(name: str
 
 
 @every_metric
+def test_calls_return_the_errors_of_a_batch_and_add_up(name: str) -> None:
+    """As every metric of torchmetrics does, also where states of two are merged."""
+    pred, target = batch(name)
+    metric, merged, other = (METRICS[name][0]() for _ in range(3))
+    for image in (slice(0, 1), slice(1, 2)):
+        values = {key: value.item() for key, value in metric(pred[image], target[image]).items()}
+        assert values == errors(name, pred[image], target[image])
+        metric.compute()  # what it keeps is of no use after another call
+    merged.update(pred[:1], target[:1])
+    other.update(pred[1:], target[1:])
+    merged.merge_state(other)
+    expected = errors(name, pred, target)
+    for computed in (metric.compute(), merged.compute()):
+        assert {key: value.item() for key, value in computed.items()} == pytest.approx(expected)
+
+
+@every_metric
+@pytest.mark.parametrize("true", [2, 255, 0.5])
+def test_masks_are_true_where_they_are_not_zero(name: str, true: float) -> None:
+    pred, target = batch(name)
+    mask = at_point(everywhere(target), False)
+    numbers = mask * torch.tensor(true, dtype=torch.uint8 if isinstance(true, int) else None)
+    assert errors(name, pred, target, numbers) == errors(name, pred, target, mask)
+
+
+@every_metric
 def test_weights_are_used_or_refused(name: str) -> None:
     pred, target = batch(name)
     grid = torch.ones(METRICS[name][1])
@@ -175,6 +201,21 @@ def test_labels_are_integers() -> None:
     for wrong in ((labels + 0.5, labels), (labels, labels.float())):
         with pytest.raises(ArgumentError, match=r"\.long\(\)"):
             SolidAngleIoU(Icosphere(1), 2).update(*wrong)
+
+
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.int8, torch.int16])
+def test_labels_of_few_bits_count_as_those_of_many(dtype: torch.dtype) -> None:
+    pred, target = torch.randint(100, (2, 3, 42), generator=torch.Generator().manual_seed(0))
+    few, many = (SolidAngleIoU(Icosphere(1), 100, ignore_index=7) for _ in range(2))
+    few.update(pred.to(dtype), target.to(dtype))
+    many.update(pred, target)
+    torch.testing.assert_close(few.compute(), many.compute(), rtol=0, atol=0, equal_nan=True)
+
+
+def test_labels_to_be_ignored_are_those_of_that_number_alone() -> None:
+    unknown = torch.full((1, 42), 255, dtype=torch.uint8)
+    with pytest.raises(ArgumentError, match="target: expected labels from 0 to 2, got 255"):
+        SolidAngleIoU(Icosphere(1), 3, ignore_index=-1).update(torch.zeros_like(unknown), unknown)
 
 
 @pytest.mark.parametrize("length", [1e-38, 1e-20, 1.0, 1e20, 1e38])

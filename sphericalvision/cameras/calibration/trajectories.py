@@ -38,9 +38,14 @@ EXPECTED = (
 COLUMNS = ("time", "x", "y", "z", "qw", "qx", "qy", "qz")
 TUM = (0, 1, 2, 3, 7, 4, 5, 6)
 """Where ``COLUMNS`` stand in a line of TUM's."""
+_TIMES = ("time", "seconds", "nanoseconds")
 FARTHEST = 1e8
 """Metres from the origin; no place on Earth is as far from its centre."""
-_HEADERS = {"time": re.compile(r"(?i)time|t|(time)?_?stamp(_?n?s)?|time_?n?s|n?sec")} | {
+_HEADERS = {
+    "time": re.compile(r"(?i)time|t|(time)?_?stamp"),
+    "seconds": re.compile(r"(?i)\S*(time|stamp)[_./]?(s|secs?|seconds)|secs?|seconds"),
+    "nanoseconds": re.compile(r"(?i)\S*(time|stamp)[_./]?n(ano)?(s|secs?|seconds)|n(ano)?(secs?|seconds)"),
+} | {
     name: re.compile(rf"(?i)(q|q_|q_\w+_|quat(ernion)?[_.]?|orientation[_.]?){name[1]}")
     if name.startswith("q")
     else re.compile(rf"(?i)(t|t_|p|p_|p_\w+_|pos(ition)?[_.]?|translation[_.]?)?{name}")
@@ -61,6 +66,8 @@ def read_trajectory(path: str | Path) -> Trajectory:
     KITTI-360 the same after the number of the image          world from camera                 numbers of the images
     COLMAP    ``images.txt``, ``images.bin``                  camera from world, inverted here  images without suffix
     ========  ==============================================  ================================  =====================
+
+    Whole seconds and nanoseconds in two columns, as ROS has them, are one time, ``12.000000500``.
 
     Args:
         path: the file, or a folder with COLMAP's ``images``; ``#`` starts a comment.
@@ -110,9 +117,9 @@ def read_trajectory(path: str | Path) -> Trajectory:
         where = f"{path}, line {line}"
         values = numbers(words, where, count)
         if header is not None or count == 8:
-            order = TUM if header is None else [header.index(name) for name in COLUMNS]
-            place, turn = ([values[column] for column in part] for part in (order[1:4], order[4:]))
-            names.append(words[order[0]])
+            order = TUM[1:] if header is None else [header.index(name) for name in COLUMNS[1:]]
+            place, turn = ([values[column] for column in part] for part in (order[:3], order[3:]))
+            names.append(words[0] if header is None else _time(header, words, values, where))
             poses.append(transform_from_numbers(turn, place, where))
         else:
             names.append(str(row) if count % 4 == 0 else words[0])
@@ -142,13 +149,30 @@ def _table(path: Path) -> tuple[list[str] | None, list[tuple[int, list[str]]]]:
     return header, lines
 
 
+def _time(header: list[str], words: list[str], values: list[float], where: str) -> str:
+    """The time as it stands, or of whole seconds and nanoseconds beside them."""
+    column, *more = [header.index(name) for name in _TIMES if name in header]
+    if "time" in header or not more:
+        return words[column]
+    whole, rest = values[column], values[more[0]]
+    if rest >= 1e9:  # all of the time once more
+        return words[more[0]]
+    if whole % 1 or rest < 0:
+        raise FileFormatError(
+            f"{where}: expected whole seconds and nanoseconds of 0 or more beside them, got {words[column]} and "
+            f"{words[more[0]]}; leave the header one column of time"
+        )
+    return f"{whole:.0f}.{rest:09.0f}"
+
+
 def _columns(line: str) -> list[str] | None:
-    """What the words of a header stand for, one of ``COLUMNS`` or as they are; None of any other line."""
+    """What the words of a header stand for, a name of ``_HEADERS`` or as they are; None of any other line."""
     words = re.sub(r"[\[(][^])]*[])]|[#,;\"]", " ", line).split()
     names = [
         next((to for to, pattern in _HEADERS.items() if pattern.fullmatch(word)), word) for word in words
     ]
-    return names if all(names.count(name) == 1 for name in COLUMNS[1:]) and COLUMNS[0] in names else None
+    has_time = any(name in names for name in _TIMES)
+    return names if has_time and all(names.count(name) == 1 for name in COLUMNS[1:]) else None
 
 
 def _of_images(path: Path) -> Trajectory:

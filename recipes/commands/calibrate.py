@@ -27,6 +27,7 @@ from sphericalvision.capture.sources.streams import count_streams
 from sphericalvision.capture.sources.videos import VIDEO_SUFFIXES, Videos
 from sphericalvision.core import ArgumentError, MissingFileError, check_choice
 from sphericalvision.geometry import angle_from_axis
+from sphericalvision.io.files import by_numbers
 from sphericalvision.io.images import read_image
 from sphericalvision.recipes.app.captures import print_labels
 from sphericalvision.recipes.app.cli import console, print_table
@@ -169,7 +170,7 @@ def _files(pattern: str) -> dict[str, dict[str, Path]]:
             wild += glob.escape(part)
             expression += re.escape(part)
     files: dict[str, dict[str, Path]] = {}
-    for path in sorted(glob.glob(wild, recursive=True)):
+    for path in sorted(glob.glob(wild, recursive=True), key=by_numbers):
         if (match := re.fullmatch(expression, path)) is None:
             continue  # of another camera than the folder that it is in
         camera = match.groupdict().get("camera", LONE)

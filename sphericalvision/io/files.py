@@ -21,7 +21,7 @@ import yaml
 
 from sphericalvision.core import MissingFileError
 
-__all__ = ["atomic_write", "list_folder", "part_of_name", "write_bytes", "write_yaml"]
+__all__ = ["atomic_write", "by_numbers", "list_folder", "part_of_name", "write_bytes", "write_yaml"]
 
 
 def _machine() -> str:
@@ -133,6 +133,17 @@ def part_of_name(name: str) -> str:
     """
     plain = re.sub(r"[^\w.-]", "_", name)[:80]
     return plain if plain == name else f"{plain}-{zlib.crc32(name.encode(errors='replace')):08x}"
+
+
+def by_numbers(name: str | Path) -> tuple[list[tuple[int, str]], str]:
+    """What names of files are sorted by, so that their numbers count as numbers.
+
+    Examples:
+        >>> sorted(["img10.png", "img2.png"], key=by_numbers)
+        ['img2.png', 'img10.png']
+    """
+    parts = re.split(r"(\d+)", str(name))  # never an odd place without digits
+    return [(int(part), "") if at % 2 else (-1, part) for at, part in enumerate(parts)], str(name)
 
 
 def list_folder(folder: str | Path, what: str) -> set[str]:

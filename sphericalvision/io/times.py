@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
-__all__ = ["SAME_TIME", "are_counts", "nearest_in_time", "seconds"]
+from sphericalvision.io.files import by_numbers
+
+__all__ = ["SAME_TIME", "are_counts", "in_order", "nearest_in_time", "seconds"]
 
 SAME_TIME = 0.02
 """Seconds between what was taken at one time, at most."""
@@ -74,6 +76,18 @@ def are_counts(names: Sequence[str]) -> bool:
         (True, False, False)
     """
     return all(re.fullmatch(r"\d{1,13}", name) and not 1e12 <= int(name) < 4.2e12 for name in names)
+
+
+def in_order(names: Iterable[str]) -> list[str]:
+    """Names in the order of the times that they tell, or of the numbers in them where not all tell one.
+
+    Examples:
+        >>> in_order(["12.8", "12.76"]), in_order(["img10", "img2"])
+        (['12.76', '12.8'], ['img2', 'img10'])
+    """
+    named = sorted(names, key=by_numbers)
+    times = dict(zip(named, seconds(named), strict=True))
+    return sorted(named, key=lambda name: times[name] or 0.0) if None not in times.values() else named
 
 
 def nearest_in_time(

@@ -18,7 +18,6 @@ from sphericalvision.cameras import (
     save_camera,
     save_rig,
 )
-from sphericalvision.cameras.calibration.ocam_text import _natural
 from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import transform_from_axis_angle
 
@@ -65,9 +64,3 @@ def test_names_with_a_number_and_fields_of_view_are_kept(tmp_path: Path, names: 
     (tmp_path / "config.yaml").write_text(re.sub("max_fov: .*", "max_fov: 3.49", text))
     with pytest.raises(FileFormatError, match="max_fov: expected degrees"):
         read_rig(tmp_path)
-
-
-def test_files_are_in_the_order_of_their_numbers() -> None:
-    """A superscript is a digit, and no number."""
-    names = ["calib_1.txt", "calib_2.txt", "calib_10.txt", "²1.txt"]
-    assert [path.name for path in sorted(map(Path, reversed(names)), key=_natural)] == names

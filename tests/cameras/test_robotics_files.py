@@ -28,11 +28,11 @@ from tests.cameras.calibration_samples import (
 
 
 def test_asl_cameras_of_a_folder_are_a_rig(tmp_path: Path) -> None:
-    for name, changes in (("cam0", {"T_BS": flat(np.eye(4))}), ("cam1", {})):
+    for name, changes in (("cam2", {"T_BS": flat(np.eye(4))}), ("cam10", {})):
         (tmp_path / "mav0" / name).mkdir(parents=True)
         dump(tmp_path / "mav0" / name / "sensor.yaml", asl(**changes))
     rig = read_rig(tmp_path / "mav0", dtype=torch.float64)
-    assert rig.names == ["cam0", "cam1"]
+    assert rig.names == ["cam2", "cam10"]
     torch.testing.assert_close(rig.positions[1], torch.tensor([0.1, 0.0, 0.02], dtype=torch.float64))
     torch.testing.assert_close(rig.axes[1], torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64))
 

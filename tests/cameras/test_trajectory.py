@@ -122,11 +122,12 @@ def test_texts_tell_poses_and_names(text: str, names: list[str], tmp_path: Path)
 @pytest.mark.parametrize("file", ["", "images.txt", "cameras.bin"])
 def test_images_of_colmap_come_in_the_order_of_their_names(file: str, tmp_path: Path) -> None:
     names = [f"frame{number}" for number in (11, *range(1, 11), 0)]  # 10 comes after 9
+    names[9] = "frame009"
     save_rig(CameraRig(dict.fromkeys(["1", "01"], CAMERA), way()[:2]), tmp_path / "other", "colmap")
     assert sorted(read_trajectory(tmp_path / "other").names) == ["01", "1"]  # two images, which are no times
     save_rig(CameraRig(dict.fromkeys(names, CAMERA), way()), tmp_path / "sparse" / file, "colmap")
     read = read_trajectory(tmp_path / "sparse")
-    assert list(read.names) == [f"frame{number}" for number in range(NUMBER)]
+    assert list(read.names) == [f"frame{number}" for number in (*range(9), "009", 10, 11)]
     torch.testing.assert_close(read.world_from_camera[11], way()[0], atol=1e-6, rtol=0)
 
 

@@ -19,7 +19,14 @@ import yaml
 from safetensors.torch import save_file
 
 from sphericalvision.core import MissingFileError, check_file
-from sphericalvision.io.files import atomic_write, list_folder, part_of_name, write_bytes, write_yaml
+from sphericalvision.io.files import (
+    atomic_write,
+    by_numbers,
+    list_folder,
+    part_of_name,
+    write_bytes,
+    write_yaml,
+)
 from sphericalvision.io.images import write_image, write_mask, write_pages
 
 
@@ -54,6 +61,12 @@ def test_what_a_killed_process_left_is_swept(tmp_path: Path) -> None:
         subprocess.run([*command, "to the end"], check=True)
         assert living.exists()
     assert {*tmp_path.iterdir()} == {*others, tmp_path / "a.txt", tmp_path / "b.txt"}
+
+
+def test_files_are_in_the_order_of_their_numbers() -> None:
+    """A superscript is a digit, and no number."""
+    names = ["a/calib_1.txt", "a/calib_02.txt", "a/calib_2.txt", "a/calib_10.txt", "b/calib_1.txt", "²1.txt"]
+    assert [str(path) for path in sorted(map(Path, reversed(names)), key=by_numbers)] == names
 
 
 def test_until_the_end_readers_find_the_old_file(tmp_path: Path) -> None:

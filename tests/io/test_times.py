@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from sphericalvision.io.times import are_counts, nearest_in_time, seconds
+from sphericalvision.io.times import are_counts, in_order, nearest_in_time, seconds
 
 MICROSECONDS = [1_418_381_798_086_398 + 62_500 * k for k in range(5)]
 SPELLINGS: dict[str, Callable[[int], str]] = {  # of whole microseconds since 1970
@@ -35,6 +35,20 @@ def test_one_time_in_any_two_spellings_is_one_time(
     shifted = [other(time + 5_000_000) for time in MICROSECONDS]
     assert nearest_in_time(seconds(names), seconds([other(time) for time in MICROSECONDS])) == [0, 1, 2, 3, 4]
     assert nearest_in_time(seconds(names), seconds(shifted)) == [None] * 5  # five seconds later, in any unit
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["1403636579.76", "1403636579.8", "1403636579.81"],  # decimals as Python writes them
+        ["1403636579_9", "1403636579_100000000"],
+        ["cam1_2", "cam1_10", "cam2_1"],
+        ["-0.5", "0", "000012", "100"],
+        ["12.8", "12.76", "left"],
+    ],
+)
+def test_names_are_in_the_order_of_times_or_else_of_numbers(names: list[str]) -> None:
+    assert in_order(reversed(names)) == names
 
 
 def test_words_tell_no_time_and_small_numbers_may_be_counts() -> None:

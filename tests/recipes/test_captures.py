@@ -126,6 +126,8 @@ def test_frames_are_in_the_order_of_their_numbers_and_complete(tmp_path: Path) -
     root = touch(tmp_path, *(f"{c}/{f}.jpg" for c in "123" for f in ("9", "10", "100")), "1/11.jpg")
     with pytest.warns(UserWarning, match=r"1 frame.* left out, 11 first \(cam1: 4, cam2: 3"):
         assert list(find_capture(root + "/{camera}/{frame}.jpg", NAMES)) == ["9", "10", "100"]
+    root = touch(tmp_path / "times", *(f"{c}/{f}.jpg" for c in "123" for f in ("0.8", "0.76")))
+    assert list(find_capture(root + "/{camera}/{frame}.jpg", NAMES)) == ["0.76", "0.8"]
 
 
 def test_pictures_named_by_time_belong_together_within_a_tolerance(tmp_path: Path) -> None:

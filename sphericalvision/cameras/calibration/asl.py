@@ -23,7 +23,7 @@ from sphericalvision.cameras.calibration.formats import FileFormat, has_any, reg
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called, lens_of, models_of, numbers_of
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.io.files import write_yaml
+from sphericalvision.io.files import by_numbers, write_yaml
 
 __all__ = ["contents", "files_of_rig", "write_asl_camera", "write_asl_rig"]
 
@@ -38,7 +38,7 @@ _LENSES = (
 
 def files_of_rig(folder: Path) -> list[Path]:
     """``cam0/sensor.yaml``, ``cam1/sensor.yaml``, ... of the folder."""
-    return sorted(folder.glob(f"cam*/{_NAME}"))
+    return sorted(folder.glob(f"cam*/{_NAME}"), key=by_numbers)
 
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:

@@ -23,6 +23,7 @@ from sphericalvision.cameras.calibration.lenses import distorted
 from sphericalvision.cameras.calibration.text_files import read_text
 from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import invert_transform, transform_from_axis_angle
+from sphericalvision.io.files import by_numbers
 
 __all__ = ["contents", "files_of_rig", "recognizes"]
 
@@ -42,7 +43,7 @@ def recognizes(path: Path) -> bool:
 
 def files_of_rig(folder: Path) -> list[Path]:
     """The camera models of the folder."""
-    return sorted(folder.glob("*.cameramodel"))
+    return sorted(folder.glob("*.cameramodel"), key=by_numbers)
 
 
 def contents(path: Path, options: Options) -> Contents:

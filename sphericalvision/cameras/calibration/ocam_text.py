@@ -27,7 +27,7 @@ from sphericalvision.cameras.calibration.text_files import data_lines, looks_str
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, check_file
 from sphericalvision.geometry import transform_from_axis_angle
-from sphericalvision.io.files import atomic_write
+from sphericalvision.io.files import atomic_write, by_numbers
 
 __all__ = [
     "check_inverse",
@@ -155,13 +155,9 @@ def _ocam(path: Path) -> OCamCamera:
     return make_ocam(direct, inverse, center, affine, size, str(path))
 
 
-def _natural(path: Path) -> list[int | str]:
-    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", path.stem)]
-
-
 def _folder_contents(folder: Path, options: Options) -> Contents:
     poses_path = check_file(folder / _POSES, "the poses of the cameras")
-    files = sorted(folder.glob("ocam*.txt"), key=_natural)
+    files = sorted(folder.glob("ocam*.txt"), key=by_numbers)
     if not files:
         raise MissingFileError(
             f"{folder}: no ocam1.txt, ocam2.txt, ... beside poses.txt (one for each camera expected)"

@@ -29,6 +29,7 @@ from sphericalvision.cameras.calibration.parsing import numbers
 from sphericalvision.cameras.calibration.poses import transform_from_rows
 from sphericalvision.cameras.calibration.text_files import once, parse_xml, read_text
 from sphericalvision.core import FileFormatError
+from sphericalvision.io.files import by_numbers
 
 __all__ = ["contents", "files_of_rig", "recognizes"]
 
@@ -46,7 +47,7 @@ def recognizes(path: Path) -> bool:
 
 def files_of_rig(folder: Path) -> list[Path]:
     """The XMPs of the folder, one for each image."""
-    return [path for path in sorted(folder.glob("*.xmp")) if recognizes(path)]
+    return [path for path in sorted(folder.glob("*.xmp"), key=by_numbers) if recognizes(path)]
 
 
 def contents(path: Path, options: Options) -> Contents:

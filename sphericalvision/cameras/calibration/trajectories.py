@@ -26,7 +26,7 @@ from sphericalvision.cameras.calibration.text_files import read_text
 from sphericalvision.cameras.trajectory import Trajectory
 from sphericalvision.core import FileFormatError, MissingFileError, check_file
 from sphericalvision.geometry import invert_transform
-from sphericalvision.io.times import seconds
+from sphericalvision.io.times import in_order, seconds
 
 __all__ = ["read_trajectory"]
 
@@ -185,7 +185,8 @@ def _of_images(path: Path) -> Trajectory:
         )
     if not named:
         raise FileFormatError(f"{path}: no image in it")
-    named.sort(key=lambda pair: [(len(part), part) for part in re.split(r"(\d+)", pair[0])])
+    places = {name: place for place, name in enumerate(in_order(name for name, _ in named))}
+    named.sort(key=lambda pair: places[pair[0]])
     return _trajectory([name for name, _ in named], [pose for _, pose in named], path)
 
 

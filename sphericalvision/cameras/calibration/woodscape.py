@@ -26,6 +26,7 @@ from sphericalvision.cameras.calibration.parsing import errors_of_file
 from sphericalvision.cameras.calibration.poses import transform_from_numbers
 from sphericalvision.cameras.calibration.text_files import load
 from sphericalvision.cameras.models.radial_polynomial import RadialPolynomialCamera
+from sphericalvision.io.files import by_numbers
 
 __all__ = ["contents", "files_of_rig", "recognizes"]
 
@@ -65,7 +66,7 @@ def _pose(values: Keys) -> Tensor:
 
 def files_of_rig(folder: Path) -> list[Path]:
     """The folder's json files of this format, one for each camera."""
-    return [path for path in sorted(folder.glob("*.json")) if _is_woodscape(path)]
+    return [path for path in sorted(folder.glob("*.json"), key=by_numbers) if _is_woodscape(path)]
 
 
 def _is_woodscape(path: Path) -> bool:

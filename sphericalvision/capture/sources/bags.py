@@ -17,6 +17,7 @@ import numpy.typing as npt
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.sources.frames import Files, called_as_first
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
+from sphericalvision.io.files import by_numbers
 from sphericalvision.io.times import SAME_TIME
 
 __all__ = ["Bag", "bag_of"]
@@ -138,7 +139,7 @@ class Bag(Files):
 def _topics(connections: Sequence[Any], names: Sequence[str], path: Path) -> dict[str, str]:
     """Camera name -> topic."""
     for kind in KINDS:  # compressed where there is nothing else
-        topics = sorted({c.topic for c in connections if c.msgtype == kind}, key=_natural)
+        topics = sorted({c.topic for c in connections if c.msgtype == kind}, key=by_numbers)
         own = {name: [topic for topic in topics if name in topic.split("/")] for name in names}
         if all(len(matches) == 1 for matches in own.values()):
             return {name: topic for name, (topic,) in own.items()}
@@ -149,10 +150,6 @@ def _topics(connections: Sequence[Any], names: Sequence[str], path: Path) -> dic
         f"images: {path}: expected a topic of images for each of {', '.join(names)}, such as /{names[0]}/image_raw, "
         f"got {', '.join(listed) or 'none'}; rename the cameras of the calibration"
     )
-
-
-def _natural(text: str) -> list[str | int]:
-    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", text)]
 
 
 def _picture(message: Any, where: str) -> npt.NDArray[np.uint8]:

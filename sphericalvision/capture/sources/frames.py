@@ -21,7 +21,7 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.sources.joined_views import size_of_view, split_views
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
 from sphericalvision.io.images import read_image, read_image_size
-from sphericalvision.io.times import SAME_TIME, are_counts, nearest_in_time, seconds
+from sphericalvision.io.times import SAME_TIME, are_counts, in_order, nearest_in_time, seconds
 
 __all__ = [
     "Files",
@@ -244,7 +244,7 @@ def find_capture(
             stacklevel=2,
         )
     if requested is None:
-        chosen = sorted(common, key=_natural)
+        chosen = in_order(common)
         if not chosen:
             raise MissingFileError(
                 f"{key}: no frame of {pattern!r} is there for every camera ({counts} files)"
@@ -253,7 +253,7 @@ def find_capture(
         if lacking:
             warnings.warn(
                 f"{key}: {len(lacking)} frame(s) that not every camera has are left out, "
-                f"{', '.join(sorted(lacking, key=_natural)[:4])} first ({counts} files)",
+                f"{', '.join(in_order(lacking)[:4])} first ({counts} files)",
                 stacklevel=2,
             )
     else:
@@ -263,7 +263,7 @@ def find_capture(
             if frame not in files:
                 raise MissingFileError(
                     f"{key}: {_path(pattern, labels[name], frame)}: no such file, frame {frame} of camera {name}; its "
-                    f"first frames are {', '.join(sorted(files, key=_natural)[:4])}. Correct frames=... or the pattern."
+                    f"first frames are {', '.join(in_order(files)[:4])}. Correct frames=... or the pattern."
                 )
     return {frame: {name: by_camera[name][frame] for name in names} for frame in chosen}
 
@@ -462,8 +462,3 @@ def _frame_text(pattern: str, frame: int | str) -> str:
 def _path(pattern: str, label: str, frame: str) -> str:
     values = {"camera": label, "frame": frame, None: ""}
     return "".join(text + values[field] for text, field, _, _ in string.Formatter().parse(pattern))
-
-
-def _natural(text: str) -> list[tuple[int, str]]:
-    """Sorting key that puts frame 9 before frame 10."""
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", text)]

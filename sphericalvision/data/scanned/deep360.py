@@ -23,6 +23,7 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig, EquirectangularCamera
 from sphericalvision.core import FileFormatError, MissingFileError, check_choice
 from sphericalvision.data.scanned.scanned_frames import Sample, ScannedFrames
+from sphericalvision.io.files import by_numbers
 from sphericalvision.io.images import read_image, read_image_size
 from sphericalvision.sphere import Equirectangular
 
@@ -68,7 +69,7 @@ class Deep360Dataset(ScannedFrames):
     ) -> None:
         super().__init__(root, height, transform)
         check_choice("split", split, tuple(FOLDERS))
-        folders = sorted(self.root.glob(f"ep*_500frames/{FOLDERS[split]}"))
+        folders = sorted(self.root.glob(f"ep*_500frames/{FOLDERS[split]}"), key=by_numbers)
         if not folders:
             raise MissingFileError(
                 f"{self.root.absolute()}: no ep1_500frames/{FOLDERS[split]} or alike; Deep360 comes with its splits "
@@ -91,7 +92,7 @@ class Deep360Dataset(ScannedFrames):
     @staticmethod
     def _frames(folder: Path) -> Iterator[tuple[str, dict[str, Path], Path]]:
         """Name, pictures and depth of the frames of a split in one of the six parts."""
-        for depth in sorted((folder / "depth").glob("*_depth.npz")):
+        for depth in sorted((folder / "depth").glob("*_depth.npz"), key=by_numbers):
             frame = depth.stem.removesuffix("_depth")
             files = {
                 camera: folder / "rgb" / f"{frame}_{picture}.png" for camera, picture in PICTURES.items()

@@ -20,6 +20,7 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig, EquirectangularCamera
 from sphericalvision.core import FileFormatError, MissingFileError, check_choice
 from sphericalvision.data.scanned.scanned_frames import Sample, ScannedFrames, read_raster
+from sphericalvision.io.files import by_numbers
 from sphericalvision.io.images import read_image_size
 from sphericalvision.sphere import Equirectangular
 
@@ -102,7 +103,9 @@ class HelvipadDataset(ScannedFrames):
             )
         self.truth_folder = "depth_maps_augmented" if augmented else "depth_maps"
         bottom = self.folder / "images_bottom"
-        names = sorted(str(p.relative_to(bottom).with_suffix("")) for p in bottom.glob("*/*.jpg"))
+        names = sorted(
+            (str(p.relative_to(bottom).with_suffix("")) for p in bottom.glob("*/*.jpg")), key=by_numbers
+        )
         cameras = ("bottom", "top")
         frames = (
             (

@@ -17,6 +17,7 @@ from sphericalvision.core import FileFormatError, check_choice, check_file
 from sphericalvision.data.scanned.scanned_frames import Sample, ScannedFrames, read_raster
 from sphericalvision.data.scanned.spires import OURS_FROM_LIDAR
 from sphericalvision.geometry import transform_from_axis_angle
+from sphericalvision.io.files import by_numbers
 from sphericalvision.io.images import read_mask
 from sphericalvision.sphere import Equirectangular
 
@@ -80,7 +81,7 @@ class OmniPusDataset(ScannedFrames):
                 truth,
             )
             for case in cases
-            for truth in sorted((case / "omnidepth_gt").glob("*.tiff"))
+            for truth in sorted((case / "omnidepth_gt").glob("*.tiff"), key=by_numbers)
         )
         self.take(frames, "omnipus{a,b,c}/omnipusX_caseN with images and omnidepth_gt")
 

@@ -15,6 +15,7 @@ from sphericalvision.core import MissingFileError
 from sphericalvision.data.point_files import read_points
 from sphericalvision.data.scanned.scanned_frames import Sample, ScannedFrames
 from sphericalvision.geometry import transform_points
+from sphericalvision.io.files import by_numbers
 from sphericalvision.io.times import SAME_TIME, nearest_in_time, seconds
 
 __all__ = ["OURS_FROM_LIDAR", "SpiresDataset"]
@@ -69,7 +70,7 @@ class SpiresDataset(ScannedFrames):
     def _add(self, sequence: str, tolerance: float, lacking: dict[str, str]) -> None:
         folder = self.root / "sequences" / sequence
         scans = folder / "processed" / "vilens-slam" / "undist-clouds"
-        clouds = sorted(scans.glob("cloud_*.pcd"))
+        clouds = sorted(scans.glob("cloud_*.pcd"), key=by_numbers)
         if not clouds:
             raise MissingFileError(
                 f"{scans.absolute()}: expected cloud_<sec>_<nsec>.pcd of {sequence}, got none"

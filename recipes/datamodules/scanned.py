@@ -12,7 +12,8 @@ import torch
 from annotated_types import Ge, Gt, Le, Len
 from torch.utils.data import Dataset
 
-from sphericalvision.cameras import read_trajectory
+from sphericalvision.cameras.robot_frame import read_pose
+from sphericalvision.capture.sources.frames import Files
 from sphericalvision.core import ArgumentError, check_file
 from sphericalvision.data import PhotometricAugmentation
 from sphericalvision.data.augmentation.transforms import Compose
@@ -257,11 +258,13 @@ class OwnScansDataModule(CaptureFields, ScannedDataModule):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.source: Any = self.capture_with(frames=self.frames_named).open()
-        if not hasattr(self.source, "files"):
+        source = self.capture_with(frames=self.frames_named).open()
+        if type(source) is not Files or any("" in files for files in source.files.values()):
             raise ArgumentError(
-                "data.images: expected image files, one for each camera and frame, not videos"
+                "data.images: scans lie beside image files, one for each camera and frame; expected such, not videos, "
+                "bags or pictures of all views"
             )
+        self.source = source
 
     def frames(self, split: str, height: int, transform: Transform) -> OwnScans:
         """All frames, or those that train or validate.
@@ -272,7 +275,7 @@ class OwnScansDataModule(CaptureFields, ScannedDataModule):
         pose = torch.eye(4)
         if self.lidar_pose is not None:
             path = check_file(self.lidar_pose, "the pose of the scanner, data.lidar_pose,")
-            pose = read_trajectory(path).world_from_camera[0]
+            pose = read_pose(path, "data.lidar_pose")
         files = self.source.files
         scans = OwnScans(
             files, self.source.rig, self.points, pose, height, transform, self.tolerance, self.point_columns

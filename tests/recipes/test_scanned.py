@@ -37,6 +37,7 @@ from sphericalvision.data.scanned.scanned_frames import ScannedFrames
 from sphericalvision.data.scanned.spires import SpiresDataset
 from sphericalvision.data.scanned.widedepth import WideDepthDataset
 from sphericalvision.io.images import write_image, write_pages
+from sphericalvision.recipes.datamodules.scanned import OwnScansDataModule
 from sphericalvision.scenes import Scene, ray_depth, render_rig
 from sphericalvision.sphere import Equirectangular
 from tests.recipes.scanned_sets import (
@@ -54,6 +55,7 @@ from tests.recipes.scanned_sets import (
     write_spires,
     write_widedepth,
 )
+from tests.recipes.test_predict_streams import write_video
 from tests.recipes.tiny import TINY_SCENES, TINY_TRAINING, Run, command_after
 
 TINY_NETWORK = tuple(word for word in TINY_TRAINING if word not in TINY_SCENES)
@@ -199,6 +201,31 @@ def test_a_scan_of_ones_own_beside_its_images_is_evaluated(
         _ = OwnScans(files, narrow, tmp_path / "scans", far, height=32)[0]
     shutil.rmtree(tmp_path / "scans")
     assert "points: " in failing("evaluate", f"checkpoint={weights}", *words)
+
+
+@pytest.mark.parametrize("images", ["{camera}.avi", "{frame}.png"])
+def test_scans_lie_beside_image_files_alone(tmp_path: Path, images: str) -> None:
+    rig = ring_rig(2, image_size=(16, 16))
+    write_own(tmp_path, rig, ("1",))
+    for name in rig.names:
+        write_video(tmp_path / f"{name}.avi", [np.zeros((16, 16, 3), np.uint8)] * 2)
+    write_image(tmp_path / "1.png", torch.zeros(3, 16, 32))
+    with pytest.raises(ArgumentError, match="images: scans lie beside image files, one for each camera"):
+        own_scans(tmp_path, images=f"{tmp_path}/{images}")
+
+
+def own_scans(folder: Path, **keys: Any) -> OwnScansDataModule:
+    places = {"images": f"{folder}/{{camera}}/{{frame}}.png", "calibration": f"{folder}/rig.yaml"}
+    return OwnScansDataModule(points=f"{folder}/scans", **{**places, **keys})
+
+
+def test_a_scanner_has_one_pose(tmp_path: Path) -> None:
+    write_own(tmp_path, ring_rig(2, image_size=(16, 16)), ("1",))
+    path = tmp_path / "lidar.txt"
+    assert len(own_scans(tmp_path, lidar_pose=str(path)).frames("test", 32, dict)) == 1
+    path.write_text(2 * path.read_text())
+    with pytest.raises(ArgumentError, match=r"data.lidar_pose: expected one pose, .* got 2 in .*lidar.txt"):
+        own_scans(tmp_path, lidar_pose=str(path)).frames("test", 32, dict)
 
 
 def test_scans_belong_to_images_of_their_time(tmp_path: Path) -> None:

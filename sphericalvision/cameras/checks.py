@@ -194,10 +194,15 @@ def check_poses(names: list[str], poses: Float[Tensor, "*rigs n 4 4"]) -> None:
             raise ArgumentError(
                 f"world_from_camera: the pose of {name} has NaN or infinite numbers; correct it"
             )
-    check_rotation("world_from_camera", detached[..., :3, :3])
-    if bool(((detached[..., 3, :] - detached.new_tensor([0, 0, 0, 1])).abs() > 1e-3).any()):
+    check_rigid("world_from_camera", detached)
+
+
+def check_rigid(name: str, transforms: Float[Tensor, "*batch 4 4"]) -> None:
+    """Raise ``ArgumentError`` unless transforms turn and shift, and do nothing else."""
+    check_rotation(name, transforms[..., :3, :3])
+    if bool(((transforms[..., 3, :] - transforms.new_tensor([0, 0, 0, 1])).abs() > 1e-3).any()):
         raise ArgumentError(
-            f"world_from_camera: expected (0, 0, 0, 1) as last rows, got {detached[..., 3, :].reshape(-1, 4).tolist()}"
+            f"{name}: expected (0, 0, 0, 1) as last rows, got {transforms[..., 3, :].reshape(-1, 4).tolist()}"
             "; a matrix acts on columns, translations are in the last one"
         )
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import torch
@@ -14,7 +15,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_tensor, check_type
+from sphericalvision.cameras.checks import check_rigid
+from sphericalvision.capture.result import Depth
+from sphericalvision.core import (
+    ArgumentError,
+    ShapeError,
+    check_choice,
+    check_floating,
+    check_tensor,
+    check_type,
+)
 from sphericalvision.geometry.surfaces import distance_along
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models.candidate_refinement import ring_around
@@ -22,7 +32,6 @@ from sphericalvision.models.logit_fusion import DISTRUST, HintedIndex, agreement
 from sphericalvision.sweep import DepthHint, index_from_inverse_depth
 
 if TYPE_CHECKING:
-    from sphericalvision.capture.result import Depth
     from sphericalvision.sphere.resampling.views import Views
 
 __all__ = ["FITS", "CarriedDepth", "Hint", "HintView", "inverse_of", "warn_if_far"]
@@ -113,9 +122,11 @@ class Hint:
 
         Those that are not finite are left out. In ``"scale"`` they are counted from the rig's centre.
         """
+        check_choice("fit", fit, ("metres", "scale"))
         check_tensor("points", points, "(P, 3)")
         if points.ndim != 2 or points.shape[-1] != 3:
             raise ShapeError(f"points: expected shape (P, 3), got {tuple(points.shape)}")
+        check_floating("points", points)
         origin = None if fit == "scale" else points.new_zeros(3)
         distance = points.norm(dim=-1)
         return cls([_view(origin, points, 1 / distance, None, weight, distance > 0)], fit)
@@ -132,12 +143,14 @@ class Hint:
 
         A panorama is ``of_directions(Equirectangular(h, 2 * h).directions, 1 / depth)``. NaN is unknown.
         """
+        check_tensor("directions", directions, "(*, 3)")
+        check_tensor("inverse_depth", inverse_depth, "(*)")
         if directions.shape != (*inverse_depth.shape, 3):
             raise ShapeError(
                 f"directions: expected shape {(*inverse_depth.shape, 3)}, a direction for each inverse depth, got "
                 f"{tuple(directions.shape)}"
             )
-        weight = weight.flatten() if isinstance(weight, Tensor) else weight
+        weight = _weights(weight, inverse_depth).flatten()
         return cls([_view(None, directions.reshape(-1, 3), inverse_depth.flatten(), None, weight)], fit)
 
     @classmethod
@@ -288,8 +301,10 @@ class CarriedDepth:
 
     def __post_init__(self) -> None:
         _check_one_frame(self.depth)
-        if torch.as_tensor(self.pose).shape != (4, 4):
-            raise ShapeError(f"pose: expected shape (4, 4), got {tuple(torch.as_tensor(self.pose).shape)}")
+        pose = torch.as_tensor(self.pose)
+        if pose.shape != (4, 4):
+            raise ShapeError(f"pose: expected shape (4, 4), got {tuple(pose.shape)}")
+        check_rigid("pose", pose.double())
 
     def averaged(self, depth: Depth) -> Depth:
         """Return the depth of the frame now, averaged with the one before; confidence and ``seen`` as they are."""
@@ -339,6 +354,7 @@ class CarriedDepth:
 
 
 def _check_one_frame(depth: Depth) -> None:
+    check_type("depth", depth, Depth, "a Predictor returns one")
     if depth.batch_shape:
         raise ArgumentError("depth: expected that of one frame; take one of the batch with depth.select(i)")
 
@@ -376,16 +392,28 @@ def _view(
 ) -> HintView:
     """A view of those rays whose value is known and that count."""
     rays, values = rays.detach().float(), values.detach().float()
-    weights = torch.as_tensor(weight, dtype=torch.float32, device=values.device).expand(values.shape)
+    weights = _weights(weight, values)
     if bool(((weights < 0) | (weights > 1)).any()):
         raise ArgumentError(
             f"weight: expected 0 to 1, got {weights.min().item():g} to {weights.max().item():g}"
         )
-    known = values.isfinite() & rays.isfinite().all(-1) & (weights > 0)
+    known = values.isfinite() & rays.isfinite().all(-1) & (rays != 0).any(-1) & (weights > 0)
     if usable is not None:
         known &= usable
     factor = torch.ones_like(values) if factor is None else factor
     return HintView(start, F.normalize(rays[known], dim=-1), values[known], factor[known], weights[known])
+
+
+def _weights(weight: float | Tensor, values: Tensor) -> Tensor:
+    """A number for all values, or one for each, of their shape."""
+    if not isinstance(weight, Real):
+        check_tensor("weight", weight, str(tuple(values.shape)))
+    weights = torch.as_tensor(weight, dtype=torch.float32, device=values.device)
+    if weights.ndim and weights.shape != values.shape:
+        raise ShapeError(
+            f"weight: expected a number, or one for each value, {tuple(values.shape)}, got {tuple(weights.shape)}"
+        )
+    return weights.expand(values.shape)
 
 
 def _at_vertices(grid: Icosphere, directions: Tensor, inverse: Tensor, weight: Tensor) -> DepthHint:

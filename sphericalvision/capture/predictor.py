@@ -31,7 +31,8 @@ from sphericalvision.capture.preparation.nearest import (
 )
 from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.capture.result import Depth
-from sphericalvision.core import ArgumentError, check_choice, check_type
+from sphericalvision.core import ArgumentError, check_choice, check_tensor, check_type
+from sphericalvision.geometry.directions import holds
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.models import DepthNetwork
@@ -274,11 +275,31 @@ class Predictor:
             return None
         self.check_takes_hints()
         if isinstance(hint, DepthHint):
-            return DepthHint(*(values.to(self.device) for values in hint))
+            for name, values in zip(hint._fields, hint, strict=True):
+                check_tensor(f"hint.{name}", values, "(B, V)")
+            on_vertices = DepthHint(*(values.to(self.device, torch.float32) for values in hint))
+            inverse_depth, weight = on_vertices
+            known = (inverse_depth >= 0) & inverse_depth.isfinite()
+            if inverse_depth.shape == weight.shape and not holds(
+                (weight == 0) | ((weight > 0) & (weight <= 1) & known)
+            ):
+                raise ArgumentError(
+                    "hint: expected weights from 0 to 1 and, where they are above 0, inverse depth in 1/m of 0 or more"
+                )
+            return on_vertices
         check_type("hint", hint, Hint, "Hint.of_points, .of_directions, .of_views or .of_depth make one")
         grid = self._network.grid
         assert isinstance(grid, Icosphere)  # of all that take hints
-        return hint.on(grid, self.rig, None if hint.fit == "metres" else self(images))
+        if hint.fit == "metres":
+            return hint.on(grid, self.rig)
+        answer = self(images)
+        if answer.batch_shape:
+            if len(answer) > 1:
+                raise ArgumentError(
+                    f"hint: it is of one frame, got images of {len(answer)}; give them one by one"
+                )
+            answer = answer.select(0)
+        return hint.on(grid, self.rig, answer)
 
     def inputs(
         self, images: Mapping[str, Any]

@@ -25,7 +25,7 @@ from sphericalvision.models import WinnerTakesAll
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sphere.resampling.views import Views
-from sphericalvision.sweep import index_from_depth
+from sphericalvision.sweep import DepthHint, index_from_depth
 
 SCENE, GRID = make_scene("room", seed=4), Icosphere(5)
 
@@ -168,6 +168,12 @@ def test_the_last_frame_is_carried_on_by_the_pose() -> None:
         assert limits[0] * alone <= error_of_mean < limits[1] * alone
     with pytest.raises(ShapeError, match=r"pose: expected shape \(4, 4\)"):
         Hint.of_depth(answer(rig), torch.eye(3))
+    with pytest.raises(ArgumentError, match="pose: expected rotations"):
+        Hint.of_depth(answer(rig), 2 * torch.eye(4))
+    with pytest.raises(ArgumentError, match=r"pose: expected .* a matrix acts on columns"):
+        Hint.of_depth(answer(rig), straight.mT)
+    with pytest.raises(ArgumentTypeError, match="depth: expected a Depth, got Tensor"):
+        Hint.of_depth(answer(rig).depth, torch.eye(4))  # type: ignore[arg-type]
 
 
 def test_frames_are_averaged_and_what_moved_is_forgotten() -> None:
@@ -224,6 +230,21 @@ def test_wrong_hints_are_refused() -> None:
         Hint.of_points(torch.ones(5, 2))
     with pytest.raises(ShapeError, match="directions: expected shape"):
         Hint.of_directions(torch.ones(5, 3), torch.ones(4))
+    for transposed in (torch.ones(8, 16), torch.ones(16), torch.ones(16, 8, 1)):
+        with pytest.raises(
+            ShapeError, match=re.escape("weight: expected a number, or one for each value, (16, 8)")
+        ):
+            Hint.of_directions(torch.ones(16, 8, 3), torch.ones(16, 8), transposed)
+    with pytest.raises(ArgumentTypeError, match=r"directions: expected a torch\.Tensor"):
+        Hint.of_directions(np.ones((5, 3)), torch.ones(5))  # type: ignore[arg-type]
+    with pytest.raises(ArgumentTypeError, match=r"inverse_depth: expected a torch\.Tensor"):
+        Hint.of_directions(torch.ones(5, 3), np.ones(5))  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="points: expected floating point"):
+        Hint.of_points(torch.ones(5, 3).long())
+    with pytest.raises(ArgumentError, match="fit: expected one of 'metres', 'scale'"):
+        Hint.of_points(torch.ones(5, 3), fit="affine")  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="hint: nothing is known in it"):
+        Hint.of_directions(torch.zeros(5, 3), torch.ones(5))  # no directions
     with pytest.raises(ArgumentTypeError, match="views: expected a Views"):
         Hint.of_views(torch.ones(4, 1, 5, 5))  # type: ignore[arg-type]
     with pytest.raises(ShapeError, match=re.escape("views: expected depth (1, h, w) of cam1")):
@@ -289,5 +310,19 @@ def test_a_predictor_takes_hints_and_says_if_one_is_of_another_frame() -> None:
     torch.testing.assert_close(wrong.index, plain.index, rtol=0, atol=0)
     with pytest.raises(ArgumentTypeError, match="hint: expected a Hint"):
         predictor(images, points)  # type: ignore[arg-type]
+    near = DepthHint(*Hint.of_points(points).on(GRID, predictor.rig))
+    torch.testing.assert_close(
+        predictor(images, near._replace(weight=near.weight.double())).index, hinted.index
+    )
+    for bad, message in (
+        (near._replace(weight=near.weight.numpy()), "hint.weight: expected a torch.Tensor"),
+        (near._replace(weight=2 * near.weight), "hint: expected weights from 0 to 1"),
+        (near._replace(inverse_depth=near.inverse_depth * torch.nan), "hint: expected weights from 0 to 1"),
+    ):
+        with pytest.raises((ArgumentError, ArgumentTypeError), match=message):
+            predictor(images, bad)
+    batch = {name: image[None].repeat(2, 1, 1, 1) for name, image in images.items()}
+    with pytest.raises(ArgumentError, match="hint: it is of one frame, got images of 2"):
+        predictor(batch, Hint.of_points(points, fit="scale"))
     with pytest.raises(ArgumentError, match="hint: SemiGlobalSweep takes none"):
         Predictor(rig, method="semi_global", level=4, min_depth=0.5)(images, Hint.of_points(points))

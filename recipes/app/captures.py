@@ -277,12 +277,12 @@ def print_labels(source: Source) -> None:
         print("Images: " + ", ".join(f"{name} is {label}" for name, label in source.labels.items()) + ".")
 
 
-def masked_by_itself(source: Source, folder: Path) -> CameraRig:
+def masked_by_itself(source: Source, folder: Path | None = None) -> CameraRig:
     """The rig of a source with masks of its own body, which are written to ``masks/{camera}.png`` of a folder.
 
     Args:
         source: a recording; up to fifty frames of all of it are read, whichever are to be predicted.
-        folder: of the results.
+        folder: of the results; without one nothing is written.
 
     Raises:
         ArgumentError: live cameras, which cannot be read twice.
@@ -299,8 +299,9 @@ def masked_by_itself(source: Source, folder: Path) -> CameraRig:
     frames = source.frames(Selection(), lambda name: chosen is None or name in chosen)
     images = (as_photographs(f.images, source.rig) for f in frames if f.images is not None)
     rig = with_own_body_masked(source.rig, images)
-    for name, mask in rig.masks.items():
-        write_mask(folder / "masks" / f"{name}.png", mask)
+    if folder is not None:
+        for name, mask in rig.masks.items():
+            write_mask(folder / "masks" / f"{name}.png", mask)
     return rig
 
 

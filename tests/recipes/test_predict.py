@@ -30,7 +30,7 @@ from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.scenes.disturbances import CameraDisturbance
 from sphericalvision.sphere import Equirectangular
 from tests.recipes.conftest import run_recipe
-from tests.recipes.tiny import Run, write_capture
+from tests.recipes.tiny import PLATED, Run, write_capture, write_plated_capture
 
 SIZE = (40, 48)
 
@@ -346,22 +346,14 @@ def test_the_rigs_own_body_is_masked(
     run: Run, weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A dark plate that stands still in the pictures of one camera; a capture of few frames is not masked."""
-    rig, folder, drawn = ring_rig(4, image_size=(96, 96)), tmp_path / "moving", np.random.default_rng(0)
-    save_rig(rig, folder / "rig.yaml")
-    for frame in range(10):
-        for name in rig.names:
-            blurred = cv2.GaussianBlur(drawn.random((96, 96)), (0, 0), 3.0)
-            picture = torch.from_numpy(4 * (blurred - 0.5) + 0.5).float()[None]
-            if name == "cam2":
-                picture[:, 66:, 18:78] = 0.1
-            write_image(folder / name / f"{frame}.png", picture)
+    folder = write_plated_capture(tmp_path / "moving")
     given = [f"calibration={folder}/rig.yaml", f"images={folder}/{{camera}}/{{frame}}.png", "height=32"]
     given += ["align=false"]
     run("predict", *given, f"checkpoint={weights}", "output=out", "masks=auto", "stop=1", "outputs=[npz]")
-    masks = {name: read_image(tmp_path / f"out/masks/{name}.png")[0] for name in rig.names}
+    masks = {name: read_image(tmp_path / f"out/masks/{name}.png")[0] for name in PLATED.names}
     assert not masks["cam2"][72:90, 30:66].any()
     assert masks["cam2"][:54].all()
-    assert all(masks[name].all() for name in rig.names if name != "cam2")
+    assert all(masks[name].all() for name in PLATED.names if name != "cam2")
     told = capsys.readouterr().out
     assert re.search(r"mask of cam2: 2\d\.\d % of its picture\n", told)
     assert "mask of cam1: 0.0 % of its picture (no body was seen)" in told

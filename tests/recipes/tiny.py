@@ -8,12 +8,14 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
+import torch
 from hydra import compose, initialize_config_module
 from omegaconf import DictConfig
 from torch import Tensor
 
-from sphericalvision.cameras import CameraRig, save_rig
+from sphericalvision.cameras import CameraRig, ring_rig, save_rig
 from sphericalvision.io.images import write_image
 
 TINY_SCENES = (
@@ -54,6 +56,19 @@ def write_capture(
         for name, image in images.items():
             write_image(folder / file.format(camera=name, frame=frame), image)
     return folder
+
+
+PLATED = ring_rig(4, image_size=(96, 96))
+
+
+def write_plated_capture(folder: Path) -> Path:
+    """Ten frames of a rig that moves, with a dark plate that stands still in the pictures of cam2; gives the folder."""
+    drawn, frames = np.random.default_rng(0), []
+    for _ in range(10):
+        blurred = {name: cv2.GaussianBlur(drawn.random((96, 96)), (0, 0), 3.0) for name in PLATED.names}
+        frames.append({n: torch.from_numpy(4 * (b - 0.5) + 0.5).float()[None] for n, b in blurred.items()})
+        frames[-1]["cam2"][:, 66:, 18:78] = 0.1
+    return write_capture(folder, PLATED, *frames)
 
 
 def write_streams(path: Path, videos: Sequence[Sequence[np.ndarray]], codec: str = "mpeg4") -> None:

@@ -238,6 +238,8 @@ CrownConv3d(3, 4)(VALUES) -> crown: to_crown
 crown_relu(VALUES) -> crown: to_crown
 exchange(VALUES) -> crown: to_crown
 from_crown(VALUES) -> crown: to_crown
+from_crown(crown(torch.uint8)) -> crown: uint8
+crown_upsample(crown(torch.uint8)) -> crown: uint8
 crown_max_pool2d(VALUES) -> crown: to_crown
 CrownBatchNorm2d(3)(VALUES) -> crown: to_crown
 CrownPointwise(torch.nn.ReLU())(VALUES) -> crown: to_crown
@@ -377,7 +379,10 @@ icosphere_normals(torch.ones(43, 3)) -> number of vertices: got 43
 # icosphere: levels
 icosphere_pool(torch.ones(42), 'median') -> mode: 'mean', 'max'
 icosphere_pool(torch.ones(12)) -> level: no coarser level
+icosphere_pool(LABELS) -> values: int64
 icosphere_upsample(torch.ones(43)) -> number of vertices: got 43
+icosphere_upsample(LABELS) -> values: int64
+IcosphereUpsample(2)(LABELS.byte()) -> values: uint8
 IcospherePool(2)(torch.ones(1, 42)) -> values: level 2, got \(1, 42\)
 # icosphere: locate
 Icosphere(1).locate(torch.zeros(4, 2)) -> directions: expected shape \(\*, 3\)

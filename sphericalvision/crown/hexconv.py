@@ -162,7 +162,7 @@ def _hex_conv2d(
 ) -> Tensor:
     if north is not None and in_one_graph(values.device):
         both = hex_conv_by_lookups(values, *_two_orientations(weight, bias), stride, NORTH_RINGS)
-        fraction = north.to(values)
+        fraction = north.to(both)  # of another type than the values in autocast
         if stride == 2:
             fraction = fraction[coarse_vertex_ids(level_from_num_vertices(len(north)), north.device)]
         along, next_one = both.chunk(2, 1)
@@ -233,7 +233,7 @@ def _own_and_rings(
     if fraction is None:  # taps follow the chart
         return own, rings
     along, next_one = own.chunk(2, 2)
-    return torch.lerp(along, next_one, fraction), rings
+    return torch.lerp(along, next_one, fraction.to(own)), rings
 
 
 def _two_orientations(weight: Tensor, bias: Tensor | None) -> tuple[Tensor, Tensor | None]:
@@ -261,7 +261,7 @@ def _own_fraction(north: Tensor | None, values: Tensor, stride: int) -> Tensor |
     if north is None:
         return None
     n = math.isqrt((values.shape[-1] - 2) // 10)
-    charts = north.to(values)[1:-1].view(5, *(1,) * (values.ndim - 2), 2 * n, n)
+    charts = north[1:-1].view(5, *(1,) * (values.ndim - 2), 2 * n, n)
     return charts[..., stride - 1 :: stride, ::stride]
 
 

@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float, Num
 from torch import Tensor
 
-from sphericalvision.core import ArgumentTypeError, ShapeError, in_one_graph
+from sphericalvision.core import ArgumentTypeError, ShapeError, check_floating, in_one_graph
 from sphericalvision.crown.by_lookups import fold_by_lookups, unfold_by_lookups
 from sphericalvision.crown.fast import slices_pay
 from sphericalvision.crown.places import (
@@ -117,6 +117,7 @@ def from_crown(crown: Crown) -> Float[Tensor, "B C *N V"]:
 
     Raises:
         ShapeError: if the rectangles do not belong together.
+        ArgumentError: if they hold integers.
 
     References:
         Komatsu et al. (2020), the inverse of the unfolding to the crown.
@@ -127,6 +128,7 @@ def from_crown(crown: Crown) -> Float[Tensor, "B C *N V"]:
         True
     """
     check_crown(crown)
+    check_floating("crown", crown.col)
     if in_one_graph(crown.col.device):
         return fold_by_lookups(*crown)
     if slices_pay(crown.col):

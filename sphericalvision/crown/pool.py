@@ -7,7 +7,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, check_floating
 from sphericalvision.crown.layout import Crown, check_crown, crown_map
 
 __all__ = [
@@ -123,6 +123,7 @@ def crown_upsample(crown: Crown) -> Crown:
 
     Raises:
         ShapeError: if the crown is no crown.
+        ArgumentError: if it holds integers.
 
     Examples:
         >>> from sphericalvision.crown import to_crown
@@ -130,6 +131,7 @@ def crown_upsample(crown: Crown) -> Crown:
         torch.Size([1, 5, 3, 9, 5])
     """
     check_crown(crown)
+    check_floating("crown", crown.col)
     return crown_map(_upsample, crown)
 
 

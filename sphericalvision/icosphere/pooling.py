@@ -7,7 +7,14 @@ import torch
 from jaxtyping import Float, Num
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_tensor, constant_table
+from sphericalvision.core import (
+    ArgumentError,
+    ShapeError,
+    check_choice,
+    check_floating,
+    check_tensor,
+    constant_table,
+)
 from sphericalvision.icosphere.adjacency import icosphere_neighbors
 from sphericalvision.icosphere.areas import icosphere_solid_angles
 from sphericalvision.icosphere.hierarchy import icosphere_vertex_parents
@@ -29,7 +36,7 @@ def icosphere_pool(values: Num[Tensor, "*batch V"], mode: str = "mean") -> Num[T
     Each kept vertex gathers itself and its neighbours, six or, at the twelve vertices of the icosahedron, five.
 
     Args:
-        values: ``(*, V)``.
+        values: ``(*, V)``, floating point for ``"mean"``.
         mode: ``"mean"`` weighs by solid angle; a vertex halfway between two kept ones counts half for each, so no
             value is counted more than once and the pooled values have the integral of the values. ``"max"`` takes
             the largest.
@@ -39,7 +46,7 @@ def icosphere_pool(values: Num[Tensor, "*batch V"], mode: str = "mean") -> Num[T
 
     Raises:
         ShapeError: if no icosphere has V vertices.
-        ArgumentError: if the mode is unknown, or at level 0.
+        ArgumentError: if the mode is unknown, at level 0, or for a mean of integers.
 
     Examples:
         >>> icosphere_pool(torch.ones(2, 162)).shape
@@ -100,6 +107,7 @@ def icosphere_upsample(values: Float[Tensor, "*batch V"]) -> Float[Tensor, "*bat
 
     Raises:
         ShapeError: if no icosphere has V vertices.
+        ArgumentError: if the values are integers.
 
     Examples:
         >>> icosphere_upsample(torch.ones(2, 42)).shape
@@ -170,6 +178,7 @@ def _mean_table(level: int, like: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _weighted_mean(values: Tensor, ids: Tensor, weights: Tensor) -> Tensor:
+    check_floating("values", values)
     result = values[..., ids[:, 0]] * weights[:, 0].to(values.dtype)
     for k in range(1, 7):  # one after the other: seven times the coarse values need not fit in memory at once
         result = result + values[..., ids[:, k]] * weights[:, k].to(values.dtype)
@@ -181,4 +190,5 @@ def _max(values: Tensor, ids: Tensor) -> Tensor:
 
 
 def _mean_of_parents(values: Tensor, parents: Tensor) -> Tensor:
+    check_floating("values", values)
     return (values[..., parents[:, 0]] + values[..., parents[:, 1]]) / 2

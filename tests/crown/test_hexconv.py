@@ -9,6 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from sphericalvision.core import kernels
 from sphericalvision.crown import (
     CrownConv2d,
     HexConv2d,
@@ -242,6 +243,20 @@ def test_results_do_not_depend_on_memory_order() -> None:
     torch.testing.assert_close(layer(innermost), layer(values))
     assert layer(values).is_contiguous()
     assert layer(innermost).stride(1) == 1  # layers keep to the order they are given
+
+
+@pytest.mark.parametrize("way", ["plain", "graph", "reference"])
+@pytest.mark.parametrize("stride", [1, 2])
+@pytest.mark.parametrize("orientation", ["chart", "north"])
+def test_autocast_casts_as_it_does_other_convolutions(way: str, stride: int, orientation: str) -> None:
+    plane = HexConv2d(3, 5, stride, bias=True, orientation=orientation, level=2)
+    volume = HexConv3d(3, 5, stride, bias=True, orientation=orientation, level=2)
+    for layer, values in ((plane, random_values(2, 3, 162)), (volume, random_values(2, 3, 4, 162))):
+        expected = layer(values.float())
+        with kernels(way), torch.autocast("cpu", torch.bfloat16):
+            found = layer(values.float())
+        assert found.dtype == torch.bfloat16
+        torch.testing.assert_close(found.float(), expected, rtol=0, atol=0.03)
 
 
 @pytest.mark.parametrize("level", [0, 1])

@@ -311,6 +311,13 @@ def test_conservative_resampling_is_a_mean_over_what_a_cell_holds() -> None:
     torch.testing.assert_close(found, weighted / coarse.solid_angles, rtol=0, atol=1e-12)
 
 
+def test_conservative_resampling_of_many_values_in_single_precision() -> None:
+    """Each of twelve cells holds thousands of values, and its mean is as near as the type allows."""
+    to_few = Resample(Equirectangular(192, 384), Icosphere(0), mode="conservative")
+    constant = to_few(torch.full((1, 192, 384), 0.7))
+    torch.testing.assert_close(constant, torch.full((1, 12), 0.7), rtol=1e-6, atol=0)
+
+
 def test_conservative_resampling_takes_masks_and_gradients() -> None:
     ico, panorama = Icosphere(2, dtype=DOUBLE), Equirectangular(9, 18, dtype=DOUBLE)
     values = torch.rand(2, *ico.shape, dtype=DOUBLE, requires_grad=True)

@@ -202,6 +202,17 @@ def test_both_polynomials_of_an_ocam_camera_are_the_lens() -> None:
     assert ocam.polynomial[0] < 0
 
 
+@pytest.mark.parametrize(("down", "skew"), [(125.0, 0.0), (250.0, 150.0), (200.0, -120.0)])
+def test_an_ocam_camera_has_the_axes_of_pixels_that_are_no_squares(down: float, skew: float) -> None:
+    lens = KannalaBrandtCamera(
+        [250.0, down], [399.5, 299.5], [0.01, -0.002, 0.0003, -1e-4], (600, 800), 1.6, skew=skew
+    )
+    ocam, largest, _, _ = convert(double(lens), to=OCamCamera)
+    assert largest < 0.002
+    expected = torch.tensor([down / 250, 0, skew / 250], dtype=torch.float64)
+    torch.testing.assert_close(ocam.affine, expected, atol=1e-6, rtol=0)
+
+
 def test_a_turned_ocam_image_is_off_by_its_turn() -> None:
     """The frame stays, so models that cannot turn the image miss by the turn, and the error says so."""
     ocam = real_ocam()

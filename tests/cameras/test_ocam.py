@@ -122,12 +122,18 @@ def test_directions_outside_the_polynomials_range_are_not_valid() -> None:
     assert not lens.project(torch.tensor([1.0, 0.0, 0.0])).valid
 
 
-def test_without_max_angle_it_ends_where_its_image_or_its_polynomial_does() -> None:
+@pytest.mark.parametrize(
+    "affine", [[1.0, 0.0, 0.0], [0.5, 0.0, 0.0], [2.0, 0.0, 0.0], [1.0, 0.3, 0.3], [0.7, 0.4, 0.1]]
+)
+def test_without_max_angle_it_ends_where_its_image_or_its_polynomial_does(affine: list[float]) -> None:
     polynomial = torch.tensor([-100.0, 0.0, 0.0025], dtype=torch.float64)
-    lens = OCamCamera(polynomial, None, [319.5, 239.5], [1.0, 0.0, 0.0], (480, 640))
-    corner = lens.unproject(torch.tensor([-0.5, -0.5], dtype=torch.float64))
-    assert corner.valid
-    assert lens.project(corner.directions).valid
+    lens = OCamCamera(polynomial, None, [319.5, 239.5], affine, (480, 640))
+    pixels = torch.tensor([[-0.4, -0.4], [639.4, -0.4], [-0.4, 479.4], [639.4, 479.4]], dtype=torch.float64)
+    corners = lens.unproject(pixels)
+    assert corners.valid.all()
+    back = lens.project(corners.directions)
+    assert back.valid.all()
+    torch.testing.assert_close(back.pixels, pixels)
     polynomial[2] = -0.04  # tan θ = ρ / (100 + 0.04 ρ²) is largest at ρ = 50
     folding = OCamCamera(polynomial, None, [319.5, 239.5], [1.0, 0.0, 0.0], (480, 640))
     assert float(folding.max_angle) == pytest.approx(math.atan(50 / 200), abs=1e-6)

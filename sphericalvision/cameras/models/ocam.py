@@ -242,9 +242,10 @@ class OCamCamera(Camera):
     def _max_radius(self, values: Tensor) -> Tensor:
         """An image radius (*) beyond the farthest corner, undistorted."""
         height, width = self.image_size
-        u, v = self._align(self.principal_point, values).unbind(-1)
-        corner = torch.hypot(torch.maximum(u, width - u), torch.maximum(v, height - v)).detach()
-        return 1.25 * corner
+        center, affine = (self._align(x, values).detach() for x in (self.principal_point, self.affine))
+        corners = center.new_tensor([[0, 0], [width, 0], [0, height], [width, height]])
+        offsets = _undo_affine(corners, center.unsqueeze(-2), affine.unsqueeze(-2))
+        return 1.25 * torch.hypot(*offsets).amax(-1)
 
     def _project(self, points: Tensor) -> Projection:
         return project_ocam(points, *[*self._aligned(points), self._max_radius(points)])
@@ -254,13 +255,22 @@ class OCamCamera(Camera):
         return unproject_ocam(pixels, direct, center, affine)
 
 
+_ROUNDS = 5
+
+
 def _ocam_start(model: FittedModel, samples: Samples) -> list[Tensor]:
-    """OCam: so is the inverse polynomial."""
+    """OCam: affine map and inverse polynomial, in turns: either follows linearly from the other."""
     theta = samples.angle - math.pi / 2
     powers = torch.stack([theta**power for power in range(model.sizes["inverse_polynomial"] or 0)], dim=-1)
-    coefficients = solve_linear(powers, samples.radius * samples.focal_length[0])
+    around = torch.nn.functional.normalize(samples.directions[:, :2], dim=-1)
     aspect = samples.focal_length[1] / samples.focal_length[0]
     affine = torch.stack((aspect, 0 * aspect, 0 * aspect))
+    for _ in range(_ROUNDS):
+        radius = torch.hypot(*_undo_affine(samples.pixels, samples.center, affine))
+        coefficients = solve_linear(powers, radius)
+        ideal = (powers @ coefficients).unsqueeze(-1) * around
+        (across, d), (e, down) = torch.linalg.lstsq(ideal, samples.pixels - samples.center).solution
+        affine = torch.stack((down, d, e)) / across
     parts = {"inverse_polynomial": coefficients, "principal_point": samples.center, "affine": affine}
     return [model.vector(parts)]
 

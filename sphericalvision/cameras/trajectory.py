@@ -124,7 +124,7 @@ class Trajectory:
             return f"{name}@{self.names[number]}" if len(camera) > 1 else self.names[number]
 
         views = {called(name, number): name for number in numbers for name in camera.names}
-        poses = self.world_from_camera[list(numbers), None] @ camera.world_from_camera.to(
+        poses = self.world_from_camera[list(numbers), None] @ camera.in_world().world_from_camera.to(
             self.world_from_camera
         )
         middle = numbers[len(numbers) // 2]
@@ -132,7 +132,7 @@ class Trajectory:
             {view: camera.cameras[name] for view, name in views.items()},
             poses.flatten(0, 1),
             {view: camera.masks[name] for view, name in views.items() if name in camera.masks},
-            [called(name, middle) for name in camera.names] if len(camera) > 1 else None,
+            [called(name, middle) for name in camera.around or camera.names] if len(camera) > 1 else None,
         ).to(dtype=torch.get_default_dtype())
 
     @full_precision

@@ -212,6 +212,10 @@ def test_a_window_of_a_rig_has_all_its_cameras_at_all_poses_around_the_one_in_th
     assert all(torch.equal(found, mask) for found in rig.masks.values())
     center = (way()[5] @ torch.tensor([0.5, 0.5, 0, 1], dtype=torch.float64))[:3].float()
     torch.testing.assert_close(rig.center, center)
+    origin = torch.tensor([2.0, 0.0, 0.0]).double()
+    around_left = CameraRig(still.cameras, poses, None, ["left"], origin)
+    left = (way()[5] @ torch.tensor([3.0, 0, 0, 1], dtype=torch.float64))[:3].float()
+    torch.testing.assert_close(trajectory.rig(around_left, [3, 5, 9]).center, left)
     lone = trajectory.rig(still.subset(["right"]), [3, 5])  # a camera beside the rig's own frame
     assert lone.names == ["0.3", "0.5"]
     torch.testing.assert_close(lone.world_from_camera, (way()[[3, 5]] @ poses[1].double()).float())

@@ -17,6 +17,7 @@ from sphericalvision.cameras import (
     rectified_pairs,
     ring_rig,
 )
+from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from tests.laws.cameras import CAMERAS
@@ -219,3 +220,11 @@ def test_batches_and_masks() -> None:
     assert left.shape == right.shape == (5, 3, *whole.image_size)
     alone = whole.rectify({name: image[2] for name, image in images.items()})
     assert torch.equal(torch.stack(alone), torch.stack((left[2], right[2])))
+    with pytest.raises(ArgumentError, match="images: expected those of cam1 and cam2, got 4"):
+        whole.rectify(list(images.values()))
+
+
+def test_virtual_cameras_stand_where_the_real_ones_do_in_a_far_world() -> None:
+    rig = ring_rig(4, image_size=(32, 32)).replaced(origin=torch.tensor([4e5, 0.0, 5e6]).double())
+    (pair,) = rectified_pairs(rig, pairs=[("cam1", "cam2")])
+    torch.testing.assert_close(pair.rig.in_world().positions, pair.source.in_world().positions)

@@ -108,10 +108,14 @@ class RectifiedPair:
                 ``names``.
 
         Raises:
-            ArgumentError: an image lacks.
+            ArgumentError: an image lacks, or there are more than two without names.
             ShapeError: an image is not of its camera's size.
         """
-        named = images if isinstance(images, Mapping) else dict(zip(self.names, images, strict=False))
+        if not isinstance(images, Mapping) and len(images) != 2:
+            raise ArgumentError(
+                f"images: expected those of {' and '.join(self.names)}, got {len(images)}; a mapping may hold all"
+            )
+        named = images if isinstance(images, Mapping) else dict(zip(self.names, images, strict=True))
         check_images_of(self.source, {name: named[name] for name in self.names if name in named})
         if self.source.world_from_camera.requires_grad:
             left, right = (
@@ -369,7 +373,8 @@ def _pair(source: CameraRig, kind: str, image_size: tuple[int, int] | None) -> R
     poses = source.world_from_camera.clone()
     poses[:, :3, :3] = torch.stack(columns, -1)
     camera = _virtual_camera(source, poses, kind, image_size)
-    return RectifiedPair(source, CameraRig(dict.fromkeys(source.names, camera), poses), kind)
+    rig = CameraRig(dict.fromkeys(source.names, camera), poses, origin=source.origin)
+    return RectifiedPair(source, rig, kind)
 
 
 def _ahead(right: Tensor, axes: Tensor) -> Tensor:

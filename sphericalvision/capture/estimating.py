@@ -24,6 +24,8 @@ __all__ = ["Behind", "Estimate", "ahead", "estimate_frames", "side_by_side", "th
 
 MOST_WORKERS = 4
 """Frames that are estimated at once, each in memory of its own."""
+BEFORE = 10
+"""Frames whose depth counts in that of a later one, where it is carried on: what is older has faded to a third."""
 WAIT = 0.1
 """Seconds after which a thread that waits looks whether it is still wanted."""
 
@@ -56,7 +58,8 @@ def estimate_frames(
     """Yield the depth of the selected frames in their order, while a thread reads the next ones.
 
     On a CPU as many frames as torch has threads, up to four, are estimated side by side; with the last frame as a hint
-    one after the other.
+    one after the other, and up to ten frames that are not selected before each that is, too, so that a continuation
+    goes on with them.
 
     Args:
         source: of the frames.
@@ -66,23 +69,32 @@ def estimate_frames(
         number: of the frames, where that is known.
         hints: of a frame by its name; or ``"last"``: the depth of the frame before, where rigs move in one world.
     """
-    last: CarriedDepth | None = None
+    order = (source.names(selection) or []) if hints == "last" else []
+    places = {name: place for place, name in enumerate(order)}
+    last: tuple[int, CarriedDepth | None] = (0, None)
+
+    def is_needed(name: str) -> bool:
+        after = places.get(name, 0) + 1
+        return selected(name) or any(map(selected, order[after : after + BEFORE]))
 
     def estimate(frame: Frame) -> Estimate:
         nonlocal last
-        if frame.images is None or not selected(frame.name):
+        if frame.images is None or not is_needed(frame.name):
             return Estimate(frame, None)
         start = time.perf_counter()
+        place = places.get(frame.name, 0)
         try:
-            hint = hints(frame.name) if callable(hints) else last
+            hint = hints(frame.name) if callable(hints) else last[1] if place - last[0] <= BEFORE else None
         except (FileFormatError, OSError) as error:
             return Estimate(frame._replace(images=None, error=error), None)
         depth = (predictor if frame.rig is None else predictor.with_changes(frame.rig))(frame.images, hint)
         if hints == "last":
-            last = Hint.of_depth(depth, torch.eye(4))
-        return Estimate(frame, depth, (time.perf_counter() - start) / workers)
+            last = place, Hint.of_depth(depth, torch.eye(4))
+        return Estimate(
+            frame, depth if selected(frame.name) else None, (time.perf_counter() - start) / workers
+        )
 
-    frames = ahead(source.frames(selection, selected), newest=source.live)
+    frames = ahead(source.frames(selection, is_needed), newest=source.live)
     with threads_kept() as threads:
         most = MOST_WORKERS if number is None else min(MOST_WORKERS, max(1, number))
         workers = min(threads, most) if predictor.device.type == "cpu" and hints != "last" else 1

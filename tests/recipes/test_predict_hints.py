@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,10 @@ import trimesh
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.capture.estimating import estimate_frames
+from sphericalvision.capture.hints import CarriedDepth
+from sphericalvision.capture.sources.frames import Selection
+from sphericalvision.capture.sources.opening import open_source
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import write_image, write_pages
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
@@ -126,3 +132,25 @@ def test_the_last_frame_as_a_hint_goes_by_the_poses(run: Run, capture: Path, tmp
     assert carried[0] == plain[0]  # there is no frame before
     assert carried[1] != plain[1]
     assert carried[1] < 1.1 * plain[1]
+    files[1][-1].unlink()
+    run("predict", *words(capture, "last", "null"), *posed, "skip_existing=true")
+    assert error(files[1][-1]) == carried[-1]  # a continuation goes on with the frames before
+
+
+def test_what_is_carried_on_is_of_the_frames_before(tmp_path: Path) -> None:
+    """A continuation looks at the first frame for its colours, which is not the one before the next that is left."""
+    for frame in range(30):
+        for name in ("cam1", "cam2"):
+            write_image(tmp_path / f"{name}/{frame}.png", torch.zeros(3, 8, 8))
+    carried: list[tuple[int, int | None]] = []
+
+    class Answers(SimpleNamespace):
+        def __call__(self, images: object, hint: CarriedDepth | None) -> SimpleNamespace:
+            carried.append((len(carried), None if hint is None else hint.depth.number))  # type: ignore[attr-defined]
+            return SimpleNamespace(batch_shape=(), number=len(carried) - 1)
+
+    source = open_source(f"{tmp_path}/{{camera}}/{{frame}}.png", ring_rig(2, image_size=(8, 8)))
+    predictor: Any = Answers(device=torch.device("cpu"))
+    done = estimate_frames(source, Selection(), predictor, {"0", "25"}.__contains__, hints="last")
+    assert [estimate.frame.name for estimate in done if estimate.depth is not None] == ["0", "25"]
+    assert carried == [(0, None), (1, None), *((number, number - 1) for number in range(2, 12))]

@@ -19,8 +19,9 @@ from sphericalvision.scenes.rendering.mesh_scene import SUFFIXES, MeshScene, rea
 
 __all__ = ["MeshFiles", "PlacedMesh", "free_place", "mesh_files"]
 
-#: Raised when a seed finds another place in a mesh than before, so that nothing kept of the old one is taken for it.
-PLACES = 2
+#: Raised when a seed finds another place in a mesh than before, or a mesh other colours, so that nothing kept of the
+#: old ones is taken for it.
+PLACES = 3
 
 
 @dataclass(frozen=True)

@@ -97,6 +97,53 @@ def test_textures_and_colours_are_where_they_belong(suffix: str, tmp_path: Path)
     assert (render_directions(scene, ORIGIN, -rays) == 0).all()
 
 
+@pytest.mark.parametrize("suffix", [".glb", ".obj", ".ply"])
+def test_surfaces_that_meet_keep_their_colours(suffix: str, tmp_path: Path) -> None:
+    """Three sides of a box, each of one colour: corners in one place have three colours; none is bare or at NaN."""
+    box = trimesh.creation.box((4.0, 4.0, 4.0))
+    box.unmerge_vertices()
+    colors = np.abs(np.repeat(box.face_normals, 3, 0)).round() * 255
+    vertices, colors = np.vstack((box.vertices, [[50, 0, 0]])), np.vstack((colors, [[9, 9, 9]]))
+    if suffix == ".ply":
+        vertices, colors = np.vstack((vertices, [[np.nan] * 3])), np.vstack((colors, [[9, 9, 9]]))
+    trimesh.Trimesh(vertices, box.faces, vertex_colors=colors.astype(np.uint8), process=False).export(
+        tmp_path / f"box{suffix}"
+    )
+    scene = read_mesh_scene(tmp_path / f"box{suffix}")
+    assert np.abs(scene.vertices).max() == 2.0
+    torch.testing.assert_close(render_directions(scene, ORIGIN, torch.eye(3)), torch.eye(3))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.ply", ("uchar red", "4 0 1 2 3 255"), "1 colours are of polygons, which are 2 triangles"),
+        ("b.ply", ("ushort red", "3 0 1 2 9"), "its colours are ushort 'red'"),
+        ("c.ply", ("uchar diffuse_red", "3 0 1 2 9"), "its colours are uchar 'diffuse_red'"),
+        ("d.ply", ("comment TextureFile", "3 0 1 2"), "it has 2 textures, of which one is read"),
+        ("e.off", ("OFF", "4 0 1 2 3 255 0 0"), "colours of OFF files are not read"),
+        ("f.off", ("COFF", "4 0 1 2 3"), "colours of OFF files are not read"),
+    ],
+)
+def test_colours_that_would_be_lost_are_refused(
+    name: str, content: tuple[str, str], message: str, tmp_path: Path
+) -> None:
+    kind, face = content
+    corners = "-1 -1 -1\n1 -1 -1\n1 1 -1\n-1 1 -1\n"
+    if name.endswith(".off"):
+        text = f"{kind}\n4 1 0\n{corners}{face}\n"
+    else:
+        colours = "".join(f"property {kind.replace('red', word)}\n" for word in ("red", "green", "blue"))
+        header = "element vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+        header += "element face 1\nproperty list uchar int vertex_indices\n"
+        header += "".join(f"{kind} {k}.png\n" for k in "ab") if kind.startswith("comment") else colours
+        face += face[face.rindex(" ") :] * 2 * (not kind.startswith("comment"))
+        text = f"ply\nformat ascii 1.0\n{header}end_header\n{corners}{face}\n"
+    (tmp_path / name).write_text(text)
+    with pytest.raises(FileFormatError, match=message):
+        read_mesh_scene(tmp_path / name)
+
+
 def test_any_camera_takes_pictures_of_a_mesh() -> None:
     """Depth and colour of a ball of one colour, through a panorama."""
     ball = trimesh.creation.icosphere(subdivisions=4, radius=1.0).apply_translation((0, 0, -3))

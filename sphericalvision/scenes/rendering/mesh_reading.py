@@ -8,6 +8,7 @@ import logging
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from itertools import islice, takewhile
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -31,11 +32,21 @@ def load_mesh(path: Path) -> trimesh.Scene:
     Raises:
         FileFormatError: it cannot be read.
     """
-    folder = MeshFolder(path.parent)
+    folder, suffix = MeshFolder(path.parent), path.suffix.lower()
     _check_accessors(path)
+    if suffix == ".off":
+        _check_off_colours(path)
+    if suffix == ".ply":
+        _check_ply_colours(path)
+    # Else corners in one place would become one, of one of their colours. Formats without colours save memory by that.
+    apart = {"process": False} if suffix in (".ply", ".obj") else {}
     try:
         with _complaints(folder.missing), path.open("rb") as file:
-            loaded = trimesh.load_scene(file, path.suffix[1:].lower(), resolver=folder)
+            loaded = trimesh.load_scene(file, suffix[1:], resolver=folder, **apart)
+        for part in loaded.geometry.values():
+            if isinstance(part, trimesh.Trimesh):
+                part.remove_infinite_values()
+                part.remove_unreferenced_vertices()
     except Exception as error:  # readers of damaged files raise nearly anything
         raise FileFormatError(
             f"{path}: cannot be read as a mesh ({type(error).__name__}: {error})"
@@ -67,6 +78,46 @@ def _check_accessors(path: Path) -> None:
         raise FileFormatError(
             f"{path}: its accessors without a buffer hold {empty:,} points, all zero; expected {MOST_EMPTY:,} at most"
         )
+
+
+def _check_off_colours(path: Path) -> None:
+    """Raise for an OFF file with colours, which trimesh passes over."""
+    lines = [
+        words
+        for line in path.read_text(errors="replace").splitlines()
+        if (words := line.partition("#")[0].split())
+    ]
+    try:
+        sizes = lines[0][1:] if len(lines[0]) > 1 else lines.pop(1)
+        faces = lines[1 + int(sizes[0]) :][: int(sizes[1])]
+        coloured = "C" in lines[0][0].removesuffix("OFF") or any(
+            len(face) > int(face[0]) + 1 for face in faces
+        )
+    except (ValueError, IndexError):  # trimesh says what is wrong
+        return
+    if coloured:
+        raise FileFormatError(f"{path}: colours of OFF files are not read; a PLY with colours of vertices is")
+
+
+def _check_ply_colours(path: Path) -> None:
+    """Raise for a PLY file whose colours trimesh passes over, wraps around or takes from one picture of several."""
+    with path.open("rb") as file:
+        lines = [
+            line.split() for line in takewhile(lambda line: line.strip() != b"end_header", islice(file, 1000))
+        ]
+    pictures = [words for words in lines if words[:2] == [b"comment", b"TextureFile"]]
+    if len(pictures) > 1:
+        raise FileFormatError(
+            f"{path}: it has {len(pictures)} textures, of which one is read; expected one, or an OBJ or glTF file"
+        )
+    for words in lines:
+        kind, name = b" ".join(words[1:2]).decode("latin-1"), b" ".join(words[2:]).decode("latin-1").lower()
+        if words[:1] != [b"property"] or not (name.endswith("red") or name == "r"):
+            continue
+        if name != "red" or kind not in ("uchar", "uint8", "float", "float32", "double", "float64"):
+            raise FileFormatError(
+                f"{path}: its colours are {kind} {name!r}, which are not read; expected uchar 'red', 'green' and 'blue'"
+            )
 
 
 class MeshFolder(Mapping[str, bytes]):

@@ -244,12 +244,18 @@ def _placed(mesh: trimesh.Trimesh | trimesh.Scene) -> tuple[list[trimesh.Trimesh
 
 
 def _check_size(parts: list[trimesh.Trimesh], places: list[tuple[int, Array]]) -> None:
-    """Raise ``ArgumentError`` unless there are triangles, and neither too many of them nor of pixels."""
+    """Raise ``ArgumentError`` unless there are triangles, neither too many of them nor of pixels, and whose colours."""
     triangles = sum(len(parts[number].faces) for number, _ in places)
     if not 0 < triangles <= MOST_TRIANGLES:
         raise ArgumentError(
             f"mesh: expected triangles, at most {MOST_TRIANGLES} in all pieces, found {triangles or 'none'}"
         )
+    for part in parts:
+        if part.visual.kind == "face" and len(part.visual.face_colors) != len(part.faces):
+            raise ArgumentError(
+                f"mesh: its {len(part.visual.face_colors)} colours are of polygons, which are {len(part.faces)} "
+                "triangles here; expected a colour for each triangle or vertex"
+            )
     images = {id(image): image for image in (_image(part.visual) for part in parts) if image is not None}
     pixels = sum(image.width * image.height for image in images.values())
     if pixels > MOST_PIXELS:

@@ -15,12 +15,14 @@ import trimesh
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.capture import Depth
 from sphericalvision.capture.estimating import estimate_frames
 from sphericalvision.capture.hints import CarriedDepth
 from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.capture.sources.opening import open_source
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import write_image, write_pages
+from sphericalvision.models import WinnerTakesAll
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.sphere import Equirectangular
 from tests.recipes.tiny import Run
@@ -142,15 +144,19 @@ def test_what_is_carried_on_is_of_the_frames_before(tmp_path: Path) -> None:
     for frame in range(30):
         for name in ("cam1", "cam2"):
             write_image(tmp_path / f"{name}/{frame}.png", torch.zeros(3, 8, 8))
-    carried: list[tuple[int, int | None]] = []
+    rig = ring_rig(2, image_size=(8, 8))
+    net, ones = WinnerTakesAll(3, 16, depth_coarsening=0), torch.ones(642)
+    carried: list[float | None] = []
 
     class Answers(SimpleNamespace):
-        def __call__(self, images: object, hint: CarriedDepth | None) -> SimpleNamespace:
-            carried.append((len(carried), None if hint is None else hint.depth.number))  # type: ignore[attr-defined]
-            return SimpleNamespace(batch_shape=(), number=len(carried) - 1)
+        """Depth whose index is the number of the answer."""
 
-    source = open_source(f"{tmp_path}/{{camera}}/{{frame}}.png", ring_rig(2, image_size=(8, 8)))
+        def __call__(self, images: object, hint: CarriedDepth | None) -> Depth:
+            carried.append(None if hint is None else float(hint.depth.index[0]))
+            return Depth((len(carried) - 1) * ones, ones, ones > 0, net, rig, {})
+
+    source = open_source(f"{tmp_path}/{{camera}}/{{frame}}.png", rig)
     predictor: Any = Answers(device=torch.device("cpu"))
     done = estimate_frames(source, Selection(), predictor, {"0", "25"}.__contains__, hints="last")
     assert [estimate.frame.name for estimate in done if estimate.depth is not None] == ["0", "25"]
-    assert carried == [(0, None), (1, None), *((number, number - 1) for number in range(2, 12))]
+    assert carried == [None, None, *range(1, 11)]  # of frames 0 and 15 to 25

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import io
+import re
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
@@ -248,7 +249,18 @@ def _first_page(path: str | Path, image_size: Size | None, what: str) -> Array:
     page = _decoded(path, what, image_size)[0]
     if page.dtype not in (np.uint8, np.uint16):
         raise FileFormatError(f"{path}: expected 8 or 16 bits a channel, got {page.dtype} pixels")
+    full = np.iinfo(page.dtype).max
+    if (white := _white_of_pnm(path)) and white < full:  # of which OpenCV takes no notice
+        page = (page.astype(np.float64) * (full / white)).round().clip(0, full).astype(page.dtype)
     return page[..., 0] if page.ndim == 3 and page.shape[-1] == 1 else page
+
+
+def _white_of_pnm(path: str | Path) -> int | None:
+    """The value that a PGM or PPM says is white, 1023 of 10 bits; None of other files."""
+    with Path(path).open("rb") as file:
+        words = re.sub(rb"#[^\n]*", b"", file.read(1024)).split(maxsplit=4)
+    is_pnm = len(words) > 3 and words[0] in (b"P2", b"P3", b"P5", b"P6") and words[3].isdigit()
+    return int(words[3]) if is_pnm else None
 
 
 def _decoded(path: str | Path, what: str, image_size: Size | None = None) -> list[Array]:

@@ -49,6 +49,17 @@ def test_grey_and_sixteen_bit_and_alpha(tmp_path: Path) -> None:
     assert (read_image(tmp_path / "four.png")[:, 0, 0] * 255).tolist() == pytest.approx([30, 20, 10])
 
 
+@pytest.mark.parametrize("white", [100, 255, 1023, 4095, 65535])
+def test_white_is_what_a_file_says(tmp_path: Path, white: int) -> None:
+    """Sensors of 10 or 12 bits write portable grey maps with white at 1023 or 4095."""
+    path, kind = tmp_path / "grey.pgm", ">u2" if white > 255 else "u1"
+    values = np.array([[0, white // 2, white]]).astype(kind)
+    path.write_bytes(b"P5\n# of a sensor\n3 1\n%d\n" % white + values.tobytes())
+    expected = torch.tensor([0.0, white // 2 / white, 1.0])
+    torch.testing.assert_close(read_image(path)[1, 0], expected, atol=0.5 / 255, rtol=0)
+    assert read_mask(path)[0, ::2].tolist() == [False, True]
+
+
 def test_writing_clips_and_rounds(tmp_path: Path) -> None:
     write_image(tmp_path / "a.png", torch.tensor([[[-1.0, 0.4999 / 255, 0.5001 / 255, 7.0]]]))
     assert read_pages(tmp_path / "a.png")[0].tolist() == [[0, 0, 1, 255]]

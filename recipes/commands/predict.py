@@ -147,7 +147,8 @@ def hints_of(
     """The hints that a configuration names.
 
     Raises:
-        ArgumentError: the network takes none of files, or there is no pose to carry the last frame's depth on.
+        ArgumentError: the network takes none of files, there is no pose to carry the last frame's depth on, or a key
+            does not count.
     """
     if config.hint is None:
         return None
@@ -157,6 +158,11 @@ def hints_of(
             raise ArgumentError(
                 "hint: last carries the depth of the frame before on by the rig's poses; give poses=, or leave hint out"
             )
+        for key, usual in {"hint_quantity": "range", "hint_fit": "metres"}.items():
+            if getattr(config, key) != usual:
+                raise ArgumentError(
+                    f"{key}: is for hints in files, not for the depth of the last frame; leave it out"
+                )
         return LAST
     predictor.check_takes_hints()
     names = source.names(config.capture.selection)

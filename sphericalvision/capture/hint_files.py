@@ -56,7 +56,7 @@ class HintFiles:
 
     Raises:
         MissingFileError: a frame has no file.
-        ArgumentError: the pattern has other fields.
+        ArgumentError: the pattern has other fields, or a quantity is given of what has none.
     """
 
     def __init__(
@@ -70,6 +70,11 @@ class HintFiles:
     ) -> None:
         self.rig, self.placement, self.quantity, self.fit = rig, placement, quantity, fit
         self.of_cameras = "{camera" in pattern
+        if quantity != "range" and not self.of_cameras:
+            raise ArgumentError(
+                f"hint_quantity: {quantity} is for depth images of cameras, with {{camera}} in the pattern, got "
+                f"{pattern!r}; leave it out"
+            )
         cameras = rig.names if self.of_cameras else ("",)
         frames = names if "{frame" in pattern else None
         files = find_capture(pattern, cameras, frames, key="hint")

@@ -121,6 +121,12 @@ def test_hints_of_other_frames_or_kinds_are_refused(failing: Callable[..., str],
     assert "expected directions, inverse_depth" in message(f"hint={capture}/bad{{frame}}.npz")
     assert "there are 2 frames" in message(f"hint={capture}/0.ply", frames="[0,1]")
     posed = [f"poses={capture}/poses.txt", "window=2", "up=-y"]
+    for key in ("hint_fit=scale", "hint_quantity=z"):
+        told = message("hint=last", key, *posed, frames="null")
+        assert f"{key.partition('=')[0]}: is for hints in files" in told
+    assert "hint_quantity: z is for depth images of cameras" in message(
+        f"hint={capture}/{{frame}}.ply", "hint_quantity=z"
+    )
     assert "not of windows with poses=" in message(f"hint={capture}/{{frame}}.ply", *posed, frames="null")
 
 

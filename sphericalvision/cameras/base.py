@@ -303,10 +303,11 @@ class Camera:
         return bilinear_sample(image, pixels)
 
     def pixel_grid(self, dtype: torch.dtype | None = None) -> Float[Tensor, "h w 2"]:
-        """All pixel centres (h, w, 2) as (u, v)."""
+        """All pixel centres (h, w, 2) as (u, v), in float32 or more: half precision has no whole numbers that large."""
         height, width = self.image_size
-        v = torch.arange(height, dtype=dtype or self.dtype, device=self.device)
-        u = torch.arange(width, dtype=dtype or self.dtype, device=self.device)
+        dtype = torch.promote_types(dtype or self.dtype, torch.float32)
+        v = torch.arange(height, dtype=dtype, device=self.device)
+        u = torch.arange(width, dtype=dtype, device=self.device)
         return torch.stack(torch.meshgrid(u, v, indexing="xy"), dim=-1)
 
     def to(self: AnyCamera, *args: Any, **kwargs: Any) -> AnyCamera:

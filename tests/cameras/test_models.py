@@ -17,6 +17,7 @@ from sphericalvision.cameras import (
     KannalaBrandtCamera,
     PinholeCamera,
     project_fisheye,
+    points_from_depth,
     project_kannala_brandt,
     unproject_kannala_brandt,
 )
@@ -152,6 +153,16 @@ def test_convention_half_precision_is_computed_in_float32(dtype: torch.dtype) ->
     assert directions.dtype == torch.float32
     with pytest.raises(ArgumentError, match="points: expected floating point"):
         project_kannala_brandt(torch.tensor([[0, 0, 1]]), *lens)
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_depth_in_half_precision_lies_along_the_pixels_own_rays(dtype: torch.dtype) -> None:
+    """Half precision counts to 2048 or 256."""
+    camera = FisheyeCamera.from_field_of_view((40, 4000), 3.0)
+    depth = torch.full((40, 4000), 4.0)
+    points, valid = points_from_depth(depth.to(dtype), camera)
+    torch.testing.assert_close(points, points_from_depth(depth, camera)[0])
+    assert valid.any()
 
 
 def test_fisheye_from_field_of_view_fills_the_shorter_side() -> None:

@@ -224,6 +224,14 @@ def test_batches_and_masks() -> None:
         whole.rectify(list(images.values()))
 
 
+@pytest.mark.parametrize("kind", ["cassini", "pinhole"])
+def test_half_precision_is_computed_in_float32(kind: str) -> None:
+    (pair,) = rectified_pairs(ring_rig(4, image_size=(320, 320)), kind, [("cam1", "cam2")])
+    disparity = torch.full(pair.image_size, 10.0)
+    for expected, found in zip(pair.distance(disparity), pair.distance(disparity.bfloat16()), strict=True):
+        torch.testing.assert_close(found, expected)
+
+
 def test_virtual_cameras_stand_where_the_real_ones_do_in_a_far_world() -> None:
     rig = ring_rig(4, image_size=(32, 32)).replaced(origin=torch.tensor([4e5, 0.0, 5e6]).double())
     (pair,) = rectified_pairs(rig, pairs=[("cam1", "cam2")])

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, check_single
-from sphericalvision.cameras.checks import check_image, checked_size
+from sphericalvision.cameras.checks import at_least_float32, check_image, checked_size
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.cameras.remapping.lookup import pixels_a_radian
@@ -23,7 +23,6 @@ from sphericalvision.cameras.rig import CameraRig, check_images_of
 from sphericalvision.core import (
     ArgumentError,
     check_choice,
-    check_floating,
     check_last_dim,
     check_type,
     full_precision,
@@ -194,6 +193,7 @@ class RectifiedPair:
             ArgumentError: the pair has no camera ``of``.
         """
         side, sign = self._checked("disparity", disparity, of)
+        disparity = at_least_float32("disparity", disparity)
         baseline, forward, along, across = self._rays(disparity)
         seen = self._seen_by_both(disparity, side)
         valid = seen & (disparity >= 0)
@@ -225,6 +225,7 @@ class RectifiedPair:
             ArgumentError: the pair has no camera ``of``.
         """
         side, sign = self._checked("distance", distance, of)
+        distance = at_least_float32("distance", distance)
         baseline, forward, along, across = self._rays(distance)
         known = distance > 0
         near = baseline / torch.where(known, distance, 1.0)
@@ -276,7 +277,6 @@ class RectifiedPair:
 
     def _checked(self, name: str, values: Tensor, of: str | None) -> tuple[int, int]:
         check_image(name, values, self.image_size, "(*b, h, w)", "it belongs to images of rectify")
-        check_floating(name, values)
         if of is not None:
             check_choice("of", of, self.names)
         side = 0 if of is None else self.names.index(of)

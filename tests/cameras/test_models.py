@@ -16,8 +16,8 @@ from sphericalvision.cameras import (
     FisheyeCamera,
     KannalaBrandtCamera,
     PinholeCamera,
-    project_fisheye,
     points_from_depth,
+    project_fisheye,
     project_kannala_brandt,
     unproject_kannala_brandt,
 )

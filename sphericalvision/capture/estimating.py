@@ -18,7 +18,7 @@ from sphericalvision.capture.hints import CarriedDepth, Hint
 from sphericalvision.capture.predictor import Predictor
 from sphericalvision.capture.result import Depth
 from sphericalvision.capture.sources.frames import Frame, Selection, Source
-from sphericalvision.core import FileFormatError
+from sphericalvision.core import ArgumentError, FileFormatError
 
 __all__ = ["Behind", "Estimate", "ahead", "estimate_frames", "side_by_side", "threads_kept"]
 
@@ -87,7 +87,15 @@ def estimate_frames(
             hint = hints(frame.name) if callable(hints) else last[1] if place - last[0] <= BEFORE else None
         except (FileFormatError, OSError) as error:
             return Estimate(frame._replace(images=None, error=error), None)
-        depth = (predictor if frame.rig is None else predictor.with_changes(frame.rig))(frame.images, hint)
+        try:
+            depth = (predictor if frame.rig is None else predictor.with_changes(frame.rig))(
+                frame.images, hint
+            )
+        except ArgumentError as error:
+            if not callable(hints) or not str(error).startswith("hint: "):
+                raise
+            wrong = FileFormatError(f"frame {frame.name}, {error}")  # of this hint alone
+            return Estimate(frame._replace(images=None, error=wrong), None)
         if hints == "last":
             last = place, Hint.of_depth(depth, torch.eye(4))
         return Estimate(

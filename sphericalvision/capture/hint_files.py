@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -86,9 +86,18 @@ class HintFiles:
         """Read the hint of a frame.
 
         Raises:
-            FileFormatError: a file is damaged, or holds something else.
+            FileFormatError: a file is damaged, holds something else, or nothing that is known.
         """
-        files = self._files[frame]
+        try:
+            return self._read(self._files[frame])
+        except ArgumentError as error:
+            if not str(error).startswith("hint: "):
+                raise
+            first, *others = self._files[frame].values()
+            more = " and those of the other cameras" if others else ""
+            raise FileFormatError(f"{first}{more}: {str(error).removeprefix('hint: ')}") from None
+
+    def _read(self, files: Mapping[str, Path]) -> Hint:
         if self.of_cameras:
             images = {name: _image(path)[None] for name, path in files.items()}
             rig = self.rig.resized({name: image.shape[-2:] for name, image in images.items()})

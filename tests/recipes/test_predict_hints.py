@@ -130,6 +130,32 @@ def test_hints_of_other_frames_or_kinds_are_refused(failing: Callable[..., str],
     assert "not of windows with poses=" in message(f"hint={capture}/{{frame}}.ply", *posed, frames="null")
 
 
+def test_frames_whose_hints_say_nothing_are_left_out(
+    failing: Callable[..., str], capture: Path, tmp_path: Path
+) -> None:
+    """A scan without a point, images without a depth, and depth of another place that fits by no factor."""
+    (tmp_path / "hints").mkdir()
+    points = np.load(capture / "0.npy")
+    np.save(tmp_path / "hints/0.npy", points)
+    np.save(tmp_path / "hints/1.npy", np.full((5, 3), np.nan))
+    generator = np.random.default_rng(0)
+    np.save(tmp_path / "hints/2.npy", points * np.exp(generator.normal(0, 3, (len(points), 1))))
+    for name, depth in depth_images(ring_rig(4, image_size=(20, 20))).items():
+        for frame in range(2):
+            write_pages(tmp_path / f"hints/{name}/{frame}.tiff", [(depth * (1 - frame)).numpy()])
+    given = [f"hint={tmp_path}/hints/{{frame}}.npy", "hint_fit=scale"]
+    message = " ".join(failing("predict", *words(capture, "points", "[0,1,2]"), *given).split())
+    assert "2 of 3 frames were left out" in message
+    assert "hints/1.npy: nothing is known in it" in message
+    message = " ".join(failing("predict", *words(capture, "far", "[0,2]"), *given).split())
+    assert "frame 2, hint: no view of it agrees with the network's own depth" in message
+    given = [f"hint={tmp_path}/hints/{{camera}}/{{frame}}.tiff"]
+    message = " ".join(failing("predict", *words(capture, "images", "[0,1]"), *given).split())
+    assert "hints/cam1/1.tiff and those of the other cameras: nothing is known in it" in message
+    for name in ("points", "far", "images"):
+        assert [path.name for path in (tmp_path / name).glob("*.npz")] == ["0_depth.npz"]
+
+
 def test_the_last_frame_as_a_hint_goes_by_the_poses(run: Run, capture: Path, tmp_path: Path) -> None:
     for name, given in {"none": [], "last": ["hint=last"]}.items():
         posed = [f"poses={capture}/poses.txt", "window=2", "spacing=0.05", *given]

@@ -101,6 +101,7 @@ def bilinear_sample(
         )
     check_floating("image", image)
     check_floating("pixels", pixels)
+    pixels = pixels.to(torch.promote_types(pixels.dtype, torch.float32))
     height, width = image.shape[-2:]
     size = pixels.new_tensor([width, height])
     if wrap_longitude:
@@ -342,6 +343,8 @@ class ImageLookup(nn.Module):
             images = wrap_panorama(images, poles=self.edges == "sphere")
         size = images.shape[-3:]
         batch = broadcast_shapes(images.shape[:-3], self.grid.shape[:-3])
+        dtype = images.dtype
+        images = images.to(torch.promote_types(dtype, torch.float32))  # in half precision places would be off
         grid = self.grid.to(images.dtype).expand(*batch, *self.grid.shape[-3:])
         grid = grid.reshape(math.prod(batch), *grid.shape[-3:])
         flat = images.expand(*batch, *size).reshape(math.prod(batch), *size)
@@ -351,7 +354,7 @@ class ImageLookup(nn.Module):
         samples = F.grid_sample(flat, grid, self.mode, padding_mode="zeros", align_corners=True)
         if parts > 1:
             samples = samples.transpose(0, 1)
-        return samples.reshape(*batch, size[0], *self.grid.shape[-3:-1])
+        return samples.reshape(*batch, size[0], *self.grid.shape[-3:-1]).to(dtype)
 
     def _parts(self, images: Tensor) -> int:
         """How many parts to cut results into: on a CPU ``grid_sample`` gives each image of a batch to one thread."""

@@ -40,6 +40,14 @@ def test_a_plane_is_reproduced(generator: torch.Generator) -> None:
     torch.testing.assert_close(bilinear_sample(image, pixels)[0], 0.5 + 2 * pixels[:, 0] - 3 * pixels[:, 1])
 
 
+@pytest.mark.parametrize("wrap", [False, True])
+def test_pixels_in_half_precision_are_where_they_say(wrap: bool) -> None:
+    columns, pixels = torch.arange(900.0).expand(1, 3, 900), torch.tensor([[10.5, 1.0], [700.5, 1.0]])
+    torch.testing.assert_close(
+        bilinear_sample(columns, pixels.half(), wrap), bilinear_sample(columns, pixels, wrap)
+    )
+
+
 def test_padding() -> None:
     image = torch.ones(1, 3, 3, dtype=torch.float64)
     outside = torch.tensor([[-0.5, 1.0], [-3.0, 1.0]], dtype=torch.float64)

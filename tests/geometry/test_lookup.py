@@ -94,6 +94,16 @@ def test_what_is_not_seen_is_zero_whatever_the_image_holds(size: tuple[int, int]
     assert picked[0].tolist() == [False, True]
 
 
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_images_in_half_precision_are_looked_up_at_their_places(dtype: torch.dtype) -> None:
+    images = rand(3, 40, 900).to(dtype)
+    pixels = rand(50, 1, 2, seed=1).float() * torch.tensor([899.0, 39.0])
+    lookup = ImageLookup(pixels, rand(50, 1, seed=2) > 0.3, (40, 900))
+    found, expected = lookup(images), lookup(images.float())
+    assert found.dtype == dtype
+    torch.testing.assert_close(found, expected.to(dtype))
+
+
 def test_means_over_places() -> None:
     """Places count by their shares, those not seen as zero."""
     images, pixels = rand(2, *SIZE), positions(6, 3)

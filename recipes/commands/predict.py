@@ -172,7 +172,8 @@ def hints_of(
         )
     from sphericalvision.capture.hint_files import HintFiles
 
-    return HintFiles(config.hint, names, source.rig, placement, config.hint_quantity, config.hint_fit)
+    quantity, fit, whole = config.hint_quantity, config.hint_fit, source.whole.names
+    return HintFiles(config.hint, names, source.rig, placement, quantity, fit, whole)
 
 
 def nearest(

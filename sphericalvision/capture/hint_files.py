@@ -15,7 +15,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.hints import Hint, inverse_of
-from sphericalvision.capture.sources.frames import find_capture
+from sphericalvision.capture.sources.frames import find_capture, find_labels
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.data.point_files import read_points
 from sphericalvision.io.images import read_pages
@@ -53,6 +53,8 @@ class HintFiles:
         placement: ``(4, 4)``, from the frame of the calibration to that of the rig in use.
         quantity: of depth images: ``"range"`` along the ray, ``"z"`` along the camera's axis.
         fit: as of ``Hint``; with ``"affine"`` images hold inverse depth.
+        whole: names of all cameras of the calibration, which say what ``{camera}`` stands for; those of the rig when
+            not given.
 
     Raises:
         MissingFileError: a frame has no file.
@@ -67,6 +69,7 @@ class HintFiles:
         placement: Float[Tensor, "4 4"],
         quantity: Literal["range", "z"] = "range",
         fit: Literal["metres", "scale", "affine"] = "metres",
+        whole: Sequence[str] | None = None,
     ) -> None:
         self.rig, self.placement, self.quantity, self.fit = rig, placement, quantity, fit
         self.of_cameras = "{camera" in pattern
@@ -76,8 +79,9 @@ class HintFiles:
                 f"{pattern!r}; leave it out"
             )
         cameras = rig.names if self.of_cameras else ("",)
+        labels = find_labels(pattern, whole, cameras, key="hint") if whole and self.of_cameras else None
         frames = names if "{frame" in pattern else None
-        files = find_capture(pattern, cameras, frames, key="hint")
+        files = find_capture(pattern, cameras, frames, key="hint", labels=labels)
         if frames is None and len(names) > 1:
             raise ArgumentError(f"hint: {pattern!r} has no {{frame}}, there are {len(names)} frames")
         self._files = dict(zip(names, files.values(), strict=True))

@@ -108,6 +108,20 @@ def test_hints_of_each_kind_of_file(run: Run, capture: Path, tmp_path: Path) -> 
     assert error(tmp_path / "again/0_depth.npz") < plain
 
 
+def test_depth_images_belong_to_the_cameras_that_the_whole_rig_says(
+    run: Run, capture: Path, tmp_path: Path
+) -> None:
+    """Folders 0 to 3: of cam2 and cam3 alone, 2 and 3 are those of the cameras behind them."""
+    for place, (name, depth) in enumerate(depth_images(ring_rig(4, image_size=(40, 40))).items()):
+        write_pages(tmp_path / f"depth/{place}/0.tiff", [depth.numpy()])
+        write_pages(tmp_path / f"named/{name}/0.tiff", [depth.numpy()])
+    for name in ("depth", "named"):
+        given = [f"hint={tmp_path}/{name}/{{camera}}/{{frame}}.tiff", "cameras=[cam2,cam3]"]
+        run("predict", *words(capture, f"out_{name}"), *given)
+    counted, named = (error(tmp_path / f"out_{name}/0_depth.npz") for name in ("depth", "named"))
+    assert counted == named
+
+
 def test_hints_of_other_frames_or_kinds_are_refused(failing: Callable[..., str], capture: Path) -> None:
     def message(*given: str, frames: str = "[0]") -> str:
         return failing("predict", *words(capture, "out", frames), *given)

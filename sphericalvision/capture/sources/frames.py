@@ -97,6 +97,8 @@ class Source(Protocol):
     live: bool
     rate: float
     rig: CameraRig
+    whole: CameraRig
+    """All cameras of the calibration, of which ``rig`` has some."""
     labels: dict[str, str]
     """What ``{camera}`` stood for, by camera name, where it was not the name."""
 

@@ -32,6 +32,8 @@ POINTS, INTEGERS = np.zeros((5, 3)), torch.tensor([[0, 0, 1]])
 IMAGE, BYTES = torch.zeros(3, 32, 40), torch.zeros(3, 32, 40, dtype=torch.uint8)
 DIRECTIONS = torch.tensor([[0.0, 0.6, 0.8]])
 VALUES = torch.zeros(1, 3, 162)
+IMAGES, SEEN = torch.zeros(1, 4, 3, 642), torch.ones(4, 642, dtype=torch.bool)
+VIEWS = torch.zeros(1, 4, 3, 24, 24)
 LABELS = torch.zeros(1, 162, dtype=torch.long)
 
 
@@ -570,6 +572,15 @@ PanoramaSweep((4, 8), 4, 0.5)(torch.zeros(1, 3, 3, 12, 12), rig()) -> 3 cameras:
 PanoramaSweep((4, 8), 4, 0.5)(torch.zeros(3, 4, 3, 12, 12), CameraRig.stack([rig(), rig()])) -> rig: got 2 rigs
 PanoramaSweep((4, 8), 4, 0.5).tables(rig().resized({'cam1': (10, 10)})) -> images of one size: \(10, 10\), \(24, 24\)
 photo_consistency_share(torch.zeros(2, 642), torch.zeros(1, 4, 3, 10242), rig(), 9, 0.5) -> index: expected shape
+sweep()(torch.zeros(1, 4, 5, 162), SphereSweep(3, 8, 0.5).tables(rig())) -> rig: 162 vertices.*got 8 at 642
+sweep()(torch.zeros(1, 4, 5, 162), SphereSweep(2, 9, 0.5).tables(rig())) -> rig: 8 hypotheses.*got 9 at 162
+semi_global_sweep(IMAGES, semi_global_tables(rig(), 8, 0.5, 2), 8, 0.5, seen=SEEN) -> rig: 642 vertices, got.*162
+photo_consistency_share(torch.zeros(1, 42), IMAGES, semi_global_tables(rig(), 9, 0.5, 2), 9, 0.5, SEEN) -> rig: 642
+semi_global_sweep(IMAGES, rig(), 8, 0.5, seen=SEEN.byte()) -> seen: expected bool.*uint8
+photo_consistency(IMAGES, rig(), 8, 0.5, seen=SEEN.float()) -> seen: expected bool.*float32
+semi_global_sweep(IMAGES.byte(), rig(), 8, 0.5) -> sphere_images: uint8
+photo_consistency(IMAGES.byte(), rig(), 8, 0.5) -> sphere_images: uint8
+PanoramaSweep((4, 8), 4, 0.5).tables_for(VIEWS, PanoramaSweep((8, 16), 4, 0.5).tables(rig())) -> rig: \(2, 4, 8\)
 # models
 IcoSweepNet(3, aggregation='median') -> aggregation: 'variance'
 IcoSweepNet(30) -> level: expected an integer from 0

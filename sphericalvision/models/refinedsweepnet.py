@@ -52,7 +52,7 @@ from sphericalvision.sweep import (
 )
 from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth, appearance_at_depth
 from sphericalvision.sweep.ring_mean import coarser_images, ids_of_coarser_level
-from sphericalvision.sweep.semi_global import SemiGlobalTables
+from sphericalvision.sweep.semi_global import SemiGlobalTables, check_tables
 from sphericalvision.sweep.visibility import check_seen, seen_in_view
 
 if TYPE_CHECKING:
@@ -154,6 +154,7 @@ class RefinedSweepNet(DepthNetwork):
 
     min_depth_follows = "training"
     takes_hints = True
+    up: Tensor
 
     def __init__(
         self,
@@ -229,6 +230,7 @@ class RefinedSweepNet(DepthNetwork):
         self, images: Tensor, rig: CameraRig | RefinedTables, seen: Tensor | None, hint: DepthHint | None
     ) -> DepthEstimate:
         tables = rig if isinstance(rig, RefinedTables) else self.tables(rig)
+        check_tables(tables.seen, images)
         views = self.views(images, tables.seen if seen is None else seen)
         coarse, coarse_seen = views[0]
         clues = self.clues(coarse, tables, coarse_seen)
@@ -255,7 +257,7 @@ class RefinedSweepNet(DepthNetwork):
         """Return a hint in inner hypotheses at each level from ``coarse_level`` to ``level``; Nones for none."""
         if hint is None:
             return [None] * (self.level - self.coarse_level + 1)
-        hints = [hint]
+        hints = [DepthHint(*(values.to(self.up) for values in hint))]  # of numpy they are float64
         for _ in range(self.coarse_level, self.level):
             hints.insert(0, hints[0].coarser())
         scale = self.inner_hypotheses, self.min_depth
@@ -355,6 +357,7 @@ class RefinedSweepNet(DepthNetwork):
         windows, it counts more.
         """
         tables = rig if isinstance(rig, RefinedTables) else self.tables(rig)
+        check_tables(tables.seen, images)
         views = self.views(images, tables.seen if seen is None else seen)
         coarse, coarse_seen = views[0]
         clues = self.clues(coarse, tables, coarse_seen)

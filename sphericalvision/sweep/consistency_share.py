@@ -13,7 +13,7 @@ from sphericalvision.core import ShapeError, check_tensor
 from sphericalvision.icosphere import level_from_num_vertices
 from sphericalvision.sweep.correlation import correlation_evidence
 from sphericalvision.sweep.ring_mean import ids_of_coarser_level
-from sphericalvision.sweep.semi_global import SemiGlobalTables, semi_global_tables
+from sphericalvision.sweep.semi_global import SemiGlobalTables, check_tables, semi_global_tables
 from sphericalvision.sweep.winner import at_nearest_hypothesis
 
 if TYPE_CHECKING:
@@ -77,6 +77,7 @@ def photo_consistency_share(
         raise ShapeError(f"index: expected level {image_level} or less, that of the images, got {level}")
     if isinstance(rig, SemiGlobalTables):
         tables = rig
+        check_tables(tables.seen, sphere_images)
     else:
         cost_level = min(level, max(image_level - 1, 0))
         device = sphere_images.device

@@ -114,7 +114,7 @@ def index_from_inverse_depth(
     """Return the fractional hypothesis index ``(*)`` of inverse depths in 1/m; infinity (0 1/m) has index 0.
 
     Depths below ``min_depth`` have indices above ``N - 1``; they are not clamped, so that a mask can leave
-    them out.
+    them out. Computed in float32 at least, and returned so.
 
     Examples:
         >>> index_from_inverse_depth(torch.tensor([0.0, 1.0, 2.0]), num_hypotheses=17, min_depth=0.5)
@@ -123,6 +123,7 @@ def index_from_inverse_depth(
     check_hypotheses(num_hypotheses, min_depth)
     check_tensor("inverse_depth", inverse_depth, "(*)")
     check_floating("inverse_depth", inverse_depth)
+    inverse_depth = inverse_depth.to(torch.promote_types(inverse_depth.dtype, torch.float32))
     return (inverse_depth - INVERSE_DEPTH_OFFSET).clamp(min=0) * ((num_hypotheses - 1) * min_depth)
 
 
@@ -131,10 +132,13 @@ def index_from_depth(
 ) -> Float[Tensor, "*batch"]:
     """Return the fractional hypothesis index ``(*)`` of depths in metres; an infinite depth has index 0.
 
+    Computed in float32 at least, and returned so.
+
     Examples:
         >>> index_from_depth(torch.tensor([torch.inf, 1.0, 0.5]), num_hypotheses=17, min_depth=0.5)
         tensor([ 0.0000,  8.0000, 16.0000])
     """
     check_tensor("depth", depth, "(*)")
     check_floating("depth", depth)
+    depth = depth.to(torch.promote_types(depth.dtype, torch.float32))
     return index_from_inverse_depth(depth.reciprocal(), num_hypotheses, min_depth)

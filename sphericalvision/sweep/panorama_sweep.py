@@ -143,9 +143,15 @@ class PanoramaSweep(nn.Module):
         """Return the tables of a rig, if the images are of the size that it asks for.
 
         Raises:
-            ShapeError: if they are not.
+            ShapeError: if they are not, or tables are those of another panorama or number of hypotheses.
         """
         tables = rig if isinstance(rig, PanoramaTables) else self.tables(rig)
+        spheres = (len(self.inverse_depths), *self.grid.shape)
+        if tuple(tables.seen.shape[-3:]) != spheres:
+            raise ShapeError(
+                f"rig: expected tables of (spheres, h, w) = {spheres}, as this sweep makes them, got "
+                f"{tuple(tables.seen.shape[-3:])}"
+            )
         check_image("images", images, tables.image_size, remedy="resize them, or take rig.resized")
         return tables
 
@@ -194,6 +200,8 @@ class PanoramaSweep(nn.Module):
         """
         if seen is None:
             return tables.seen
+        if seen.dtype != torch.bool:
+            raise ArgumentError(f"seen: expected bool, True where images show something, got {seen.dtype}")
         seen = seen[None] if seen.ndim == 3 else seen
         if seen.ndim != 4 or tuple(seen.shape[-2:]) != tables.image_size:
             raise ShapeError(

@@ -20,7 +20,7 @@ from sphericalvision.sweep.ring_mean import ids_of_coarser_level
 from sphericalvision.sweep.smoothing import semi_global_smoothing
 from sphericalvision.sweep.sphere_sweep import sphere_sweep
 from sphericalvision.sweep.sweep_tables import SweepTables, sweep_tables
-from sphericalvision.sweep.visibility import check_seen, seen_in_view
+from sphericalvision.sweep.visibility import check_seen, in_single_precision, seen_in_view
 from sphericalvision.sweep.winner import at_nearest_hypothesis, winner_takes_all
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 __all__ = [
     "SemiGlobalTables",
     "SmoothedCosts",
+    "check_tables",
     "semi_global_costs",
     "semi_global_sweep",
     "semi_global_tables",
@@ -130,11 +131,13 @@ def semi_global_sweep(
             "sphere_images: expected shape (B, n, 3, V) of two or more cameras, got "
             f"{tuple(sphere_images.shape)}"
         )
+    sphere_images = in_single_precision("sphere_images", sphere_images)
     check_hypotheses(num_hypotheses, min_depth)
     image_level = level_from_num_vertices(sphere_images.shape[-1])
     level = max(image_level - 2, 0) if level is None else check_level(level)
     if isinstance(rig, SemiGlobalTables):
         tables = rig
+        check_tables(tables.seen, sphere_images)
         cost_level = level_from_num_vertices(tables.sweep.ids.shape[-3])
     else:
         cost_level = max(image_level - 1, level) if cost_level is None else cost_level
@@ -192,6 +195,15 @@ def semi_global_tables(
     return SemiGlobalTables(sweep, seen_in_view(rig, image_level).to(device))
 
 
+def check_tables(seen: Bool[Tensor, "*B n V_tables"], images: Float[Tensor, "B n C V_image"]) -> None:
+    """Raise ``ShapeError`` unless tables of a rig, given what they say is ``seen``, are for images of this size."""
+    if seen.shape[-1] != images.shape[-1]:
+        raise ShapeError(
+            f"rig: expected tables for images of {images.shape[-1]} vertices, got those for {seen.shape[-1]}; take "
+            "the rig itself, or tables made for this level"
+        )
+
+
 def semi_global_costs(
     images: Float[Tensor, "B n C V_image"],
     tables: SweepTables,
@@ -222,6 +234,7 @@ def semi_global_costs(
         >>> cost.shape
         torch.Size([1, 8, 162])
     """
+    images = in_single_precision("images", images)
     evidence = correlation_evidence(images, tables, seen, noise=noise)
     _, best, cameras = evidence.unbind(1)
     known = cameras >= 2

@@ -190,6 +190,13 @@ class SphereSweep(nn.Module):
                 f"got {tuple(features.shape)}"
             )
         tables = rig if isinstance(rig, SweepTables) else self.tables(rig)
+        tried = self.num_hypotheses, len(self.directions)
+        if tuple(tables.ids.shape[-4:-2]) != tried:
+            raise ShapeError(
+                f"rig: expected tables of {tried[0]} hypotheses at {tried[1]} vertices, as this sweep makes them, got "
+                f"{tables.ids.shape[-4]} at {tables.ids.shape[-3]}; those of another level or number of hypotheses "
+                "point elsewhere"
+            )
         return sphere_sweep(features, tables, None if seen is None else self._coarsened(seen))
 
     def _coarsened(self, seen: Tensor) -> Tensor:

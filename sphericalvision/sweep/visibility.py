@@ -9,13 +9,13 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.core import ShapeError, check_tensor, in_one_graph
+from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_tensor, in_one_graph
 from sphericalvision.icosphere import icosphere_vertices
 
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
 
-__all__ = ["check_seen", "one_at_a_time", "seen_in_view"]
+__all__ = ["check_seen", "in_single_precision", "one_at_a_time", "seen_in_view"]
 
 
 def seen_in_view(rig: CameraRig, level: int) -> Bool[Tensor, "*b n V"]:
@@ -37,16 +37,33 @@ def check_seen(
 ) -> Bool[Tensor, "B n V"]:
     """Return ``seen`` ``([B,] n, V)`` as ``(B, n, V)`` for images ``(B, n, C, V)``, or raise ``ShapeError``.
 
+    What is not bool is an ``ArgumentError``: masks of bytes would count 255 times.
+
     Examples:
         >>> check_seen(torch.ones(2, 42, dtype=torch.bool), torch.zeros(5, 2, 3, 42)).shape
         torch.Size([5, 2, 42])
     """
     check_tensor("seen", seen, "(B, n, V) or (n, V)")
+    if seen.dtype != torch.bool:
+        raise ArgumentError(f"seen: expected bool, True where images show something, got {seen.dtype}")
     batch, num_cameras, num_vertices = (images.shape[dim] for dim in (0, 1, -1))
     shape = (batch, num_cameras, num_vertices)
     if seen.ndim not in (2, 3) or tuple(seen.shape) != shape[-seen.ndim :]:
         raise ShapeError(f"seen: expected shape {shape} or {shape[1:]}, got {tuple(seen.shape)}")
     return seen.expand(shape)
+
+
+def in_single_precision(name: str, images: Float[Tensor, " ..."]) -> Float[Tensor, " ..."]:
+    """Return images in float32 at least, or raise ``ArgumentError`` for integers.
+
+    What costs are made of, differences and their squares, has no place in half precision.
+
+    Examples:
+        >>> in_single_precision("images", torch.zeros(2, dtype=torch.float16)).dtype
+        torch.float32
+    """
+    check_floating(name, images)
+    return images.to(torch.promote_types(images.dtype, torch.float32))
 
 
 def one_at_a_time(values: Tensor) -> bool:

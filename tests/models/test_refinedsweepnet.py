@@ -12,7 +12,7 @@ from safetensors.torch import save_file
 from torch import nn
 
 from sphericalvision.cameras import ring_rig
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.data import ToSphere
 from sphericalvision.data.augmentation.fivefold import rotate_fivefold
 from sphericalvision.icosphere import Icosphere, icosphere_neighbors
@@ -376,6 +376,19 @@ def test_weights_without_layers_for_hints_have_those_of_the_beginning(net, frame
     assert len(weights) - len(old) == 3
     save_file(old, path, metadata)
     torch.testing.assert_close(read_network(path).predict(images, rig, seen, hint), expected, rtol=0, atol=0)
+
+
+def test_hints_of_numpy_are_those_in_single_precision(net, frame):
+    images, rig, seen, true = frame
+    hint = DepthHint(inverse_depth_from_index(true, 16, 0.55), torch.ones_like(true))
+    found = net.predict(images, rig, seen, DepthHint(*(values.double() for values in hint)))
+    torch.testing.assert_close(found, net.predict(images, rig, seen, hint), rtol=0, atol=0)
+
+
+def test_tables_of_another_level_are_refused(net, frame):
+    images, rig, seen, _ = frame
+    with pytest.raises(ShapeError, match="rig: expected tables for images of"):
+        net.predict(images, net.with_changes(level=net.level + 1).tables(rig), seen)
 
 
 def test_a_hint_helps_and_one_that_contradicts_the_images_hardly_harms():

@@ -19,6 +19,7 @@ from sphericalvision.cameras import (
     PinholeCamera,
     RadialPolynomialCamera,
     UnifiedCamera,
+    convert,
     read_camera,
     read_rig,
     ring_rig,
@@ -27,6 +28,7 @@ from sphericalvision.cameras import (
 )
 from sphericalvision.cameras.calibration import CAMERA_FORMATS, RIG_FORMATS
 from sphericalvision.cameras.calibration.poses import axis_angle_from_rotation, quaternion_from_rotation
+from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import transform_from_axis_angle
 
 SIZE = (240, 320)
@@ -114,6 +116,25 @@ def test_masks_that_are_not_written_are_told(tmp_path: Path) -> None:
     rig = CameraRig([PinholeCamera([300.0, 300.0], [159.5, 119.5], SIZE)], torch.eye(4)[None], mask)
     with pytest.warns(UserWarning, match=r"'kalibr' holds no masks, those of cam1 are not written"):
         save_rig(rig, tmp_path / "camchain.yaml", format="kalibr")
+
+
+def test_nothing_of_another_rig_is_read_as_of_the_last_one(tmp_path: Path) -> None:
+    """Of three cameras with a mask first, then of two without."""
+    lens = KannalaBrandtCamera([100.0, 100.0], [31.5, 31.5], [0.0] * 4, (64, 64))
+    poses = transform_from_axis_angle(torch.zeros(3, 3), torch.eye(3) / 10)
+    usable = torch.ones(64, 64, dtype=torch.bool)
+    usable[:9] = False
+    three = CameraRig([lens] * 3, poses, {"cam2": usable})
+    save_rig(three.replaced(masks={}), tmp_path / "mav0", "asl")
+    with pytest.raises(ArgumentError, match=r"path: .*cam2/sensor.yaml would be one more camera"):
+        save_rig(three.subset(["cam1", "cam3"]), tmp_path / "mav0", "asl")
+    save_rig(three, tmp_path / "rig.json", "basalt")
+    with pytest.raises(ArgumentError, match=r"path: .*cam1/mask.png would be taken for the mask of cam2"):
+        save_rig(three.replaced(masks={}), tmp_path / "rig.json", "basalt")
+    ocam = dict.fromkeys(three.names, convert(lens, to="ocam").camera)
+    for masks in (three.masks, {}):
+        save_rig(three.replaced(ocam, masks=masks), tmp_path / "config.yaml", "omnimvs")
+        assert list(read_rig(tmp_path / "config.yaml").masks) == list(masks)
 
 
 def test_learned_intrinsics_are_written(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from sphericalvision.cameras.calibration.formats import FileFormat, has_any, reg
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called, lens_of, models_of, numbers_of
 from sphericalvision.cameras.rig import CameraRig
+from sphericalvision.core import ArgumentError
 from sphericalvision.io.files import by_numbers, write_yaml
 
 __all__ = ["contents", "files_of_rig", "write_asl_camera", "write_asl_rig"]
@@ -73,14 +74,21 @@ def write_asl_rig(rig: CameraRig, folder: str | Path) -> None:
     """Write ``cam0/sensor.yaml``, ``cam1/sensor.yaml``, ... in the order of the rig into ``folder``.
 
     Raises:
-        ArgumentError: the format has no such model; the message names formats that have it.
+        ArgumentError: the format has no such model; the message names formats that have it. Or the folder has a camera
+            of another rig, which would be read as one of this.
     """
+    folder = Path(folder)
+    own = {f"cam{index}" for index in range(len(rig))}
+    if others := [file for file in files_of_rig(folder) if file.parent.name not in own]:
+        raise ArgumentError(
+            f"path: {others[0]} would be one more camera of this rig of {len(rig)}; remove it, or write elsewhere"
+        )
     values = [
         _values(camera, pose)
         for camera, pose in zip(rig.cameras.values(), rig.world_from_camera, strict=True)
     ]
     for index, content in enumerate(values):
-        path = Path(folder) / f"cam{index}" / _NAME
+        path = folder / f"cam{index}" / _NAME
         path.parent.mkdir(parents=True, exist_ok=True)
         write_yaml(path, content)
 

@@ -103,7 +103,7 @@ def write_omnimvs(rig: CameraRig, path: str | Path) -> None:
                 "center": values["center"],
                 "affine": values["affine"],
                 "image_size": values["size"],
-                "invalid_mask": f"mask{cam_id}.png",
+                **({"invalid_mask": f"mask{cam_id}.png"} if name in rig.masks else {}),
                 "pose": [
                     *axis_angle_from_rotation(poses[place - 1, :3, :3]),
                     *poses[place - 1, :3, 3].tolist(),

@@ -258,6 +258,8 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
     hints = hints_of(config, source, predictor, placement)
     if still is source:
         predictor = aligned(predictor, source, folder, bool(before), placement)
+        if hints is not None and hints != LAST:
+            hints.rig = source.rig  # their depth images are turned as the cameras are
     elif predictor.preparation.judges(still.rig):
         aligned(predictor.with_changes(still.rig), still, folder, bool(before), placement)
         predictor = predictor.with_changes(source.rig)

@@ -49,7 +49,7 @@ class HintFiles:
     Args:
         pattern: of the files, with ``{frame}``, and ``{camera}`` where each camera has one.
         names: of the frames.
-        rig: as the calibration has it, whose images have depth.
+        rig: whose images have depth.
         placement: ``(4, 4)``, from the frame of the calibration to that of the rig in use.
         quantity: of depth images: ``"range"`` along the ray, ``"z"`` along the camera's axis.
         fit: as of ``Hint``; with ``"affine"`` images hold inverse depth.

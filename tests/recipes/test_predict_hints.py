@@ -16,13 +16,16 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Depth
+from sphericalvision.capture.alignment import RigTurns
 from sphericalvision.capture.estimating import estimate_frames
 from sphericalvision.capture.hints import CarriedDepth
 from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.capture.sources.opening import open_source
+from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import write_image, write_pages
 from sphericalvision.models import WinnerTakesAll
+from sphericalvision.recipes.commands import predict as commands
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.sphere import Equirectangular
 from tests.recipes.tiny import Run
@@ -120,6 +123,22 @@ def test_depth_images_belong_to_the_cameras_that_the_whole_rig_says(
         run("predict", *words(capture, f"out_{name}"), *given)
     counted, named = (error(tmp_path / f"out_{name}/0_depth.npz") for name in ("depth", "named"))
     assert counted == named
+
+
+def test_depth_images_are_turned_as_their_cameras_are(
+    run: Run, capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = ring_rig(4, image_size=SIZE)
+    poses = rig.world_from_camera.clone()
+    poses[1] = poses[1] @ transform_from_axis_angle(torch.tensor([0.1, 0.0, 0.0]), torch.zeros(3))
+    rig.replaced(world_from_camera=poses).to_yaml(tmp_path / "knocked.yaml")
+    verdict = RigTurns(rig, torch.zeros(4, 3), torch.zeros(4), ("cam2",))
+    monkeypatch.setattr(commands, "align_rig", lambda predictor, frames: verdict)
+    hint = f"hint={capture}/mm/{{camera}}/{{frame}}.png"
+    run("predict", *words(capture, "right"), hint)
+    run("predict", *words(capture, "turned"), hint, f"calibration={tmp_path}/knocked.yaml", "align=true")
+    right, turned = (error(tmp_path / f"{name}/0_depth.npz") for name in ("right", "turned"))
+    assert turned == pytest.approx(right, rel=1e-4)
 
 
 def test_hints_of_other_frames_or_kinds_are_refused(failing: Callable[..., str], capture: Path) -> None:

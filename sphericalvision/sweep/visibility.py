@@ -63,7 +63,7 @@ def in_single_precision(name: str, images: Float[Tensor, " ..."]) -> Float[Tenso
         torch.float32
     """
     check_floating(name, images)
-    return images.to(torch.promote_types(images.dtype, torch.float32))
+    return images.float() if images.dtype in (torch.float16, torch.bfloat16) else images
 
 
 def one_at_a_time(values: Tensor) -> bool:

@@ -275,7 +275,7 @@ class Predictor:
             return None
         self.check_takes_hints()
         if isinstance(hint, DepthHint):
-            for name, values in zip(hint._fields, hint, strict=True):
+            for name, values in zip(("inverse_depth", "weight"), hint, strict=True):
                 check_tensor(f"hint.{name}", values, "(B, V)")
             on_vertices = DepthHint(*(values.to(self.device, torch.float32) for values in hint))
             inverse_depth, weight = on_vertices

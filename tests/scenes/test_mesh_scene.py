@@ -277,3 +277,128 @@ def test_a_piece_in_many_places_is_kept_once_and_counted_often(
             patch.setattr(mesh_scene, name, most)
             with pytest.raises(FileFormatError, match=rf"scene\.gltf.*{word}"):
                 read_mesh_scene(tmp_path / "scene.gltf")
+
+
+CORNERS = np.array([[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1]], np.float32)
+SHADE = np.tile(np.array([[0.5, 0.25, 0.0]]), (4, 1))
+PICTURE = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32)
+KINDS = {"float32": 5126, "uint32": 5125, "uint16": 5123, "int16": 5122, "uint8": 5121}
+
+
+def square(
+    folder: Path, attributes: dict[str, Any], material: Any = None, suffix: str = ".gltf", **more: Any
+) -> Path:
+    """A square 1 m in front of the origin; whole numbers of its corners stand for shares. RED lies beside it."""
+    tree: dict[str, Any] = {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        **more,
+    }
+    places: dict[str, int] = {}
+    tree["accessors"], tree["bufferViews"], content = [], [], b""
+    for name, values in {**attributes, "indices": np.array([0, 1, 2, 0, 2, 3], np.uint32)}.items():
+        places[name] = len(tree["accessors"])
+        shape = {"count": len(values), "type": "SCALAR" if values.ndim == 1 else f"VEC{values.shape[1]}"}
+        kind = {
+            "componentType": KINDS[values.dtype.name],
+            "normalized": values.dtype.kind != "f" and values.ndim > 1,
+        }
+        tree["accessors"].append({"bufferView": places[name], **kind, **shape})
+        tree["bufferViews"].append({"buffer": 0, "byteOffset": len(content), "byteLength": values.nbytes})
+        content += values.tobytes()
+    primitive: dict[str, Any] = {"indices": places.pop("indices"), "attributes": places}
+    if material is not None:
+        tree["materials"], primitive["material"] = [{"pbrMetallicRoughness": material}], 0
+        tree["images"], tree["textures"] = [{"uri": "four.png"}], [{"source": 0}]
+        pixels = np.zeros((64, 64, 3), np.uint8)
+        pixels[:32], pixels[32:, :32], pixels[32:, 32:] = (255, 0, 0), (0, 255, 0), (0, 0, 255)
+        Image.fromarray(pixels).save(folder / "four.png")
+    tree["meshes"], tree["buffers"] = [{"primitives": [primitive]}], [{"byteLength": len(content)}]
+    if suffix == ".gltf":
+        (folder / "buffer.bin").write_bytes(content)
+        tree["buffers"][0]["uri"] = "buffer.bin"
+        text = json.dumps(tree).encode()
+    else:
+        inside = json.dumps(tree).encode()
+        inside += b" " * (-len(inside) % 4)
+        sizes = [
+            k.to_bytes(4, "little") for k in (2, 28 + len(inside) + len(content), len(inside), len(content))
+        ]
+        text = b"glTF" + sizes[0] + sizes[1] + sizes[2] + b"JSON" + inside + sizes[3] + b"BIN\0" + content
+    (folder / f"square{suffix}").write_bytes(text)
+    return folder / f"square{suffix}"
+
+
+@pytest.mark.parametrize("suffix", [".gltf", ".glb"])
+@pytest.mark.parametrize("kind", ["float32", "uint16", "uint8"])
+def test_colours_of_a_gltf_are_multiplied_as_its_specification_says(
+    kind: str, suffix: str, tmp_path: Path
+) -> None:
+    most = 1.0 if kind == "float32" else float(np.iinfo(kind).max)
+    colors = (SHADE * most).round().astype(kind) if most > 1 else SHADE.astype(np.float32)
+    grey = {"baseColorFactor": [0.5, 0.5, 0.5, 1.0]}
+
+    def light(attributes: dict[str, Any], material: Any) -> list[float]:
+        path = square(tmp_path, {"POSITION": CORNERS, **attributes}, material, suffix)
+        return read_mesh_scene(path).light(ORIGIN, FORWARD[None])[0].tolist()
+
+    assert light({"COLOR_0": colors}, {}) == pytest.approx(SHADE[0], abs=5e-3)
+    assert light({"COLOR_0": colors}, grey) == pytest.approx(SHADE[0] / 2, abs=5e-3)
+    assert light({}, grey) == pytest.approx([0.5] * 3, abs=5e-3)
+    assert light({}, {}) == [1.0] * 3
+    assert light({"COLOR_0": colors}, None) == pytest.approx(
+        SHADE[0] ** 2.2, abs=5e-3
+    )  # as trimesh writes them
+
+
+TURNED = {
+    "KHR_texture_transform": {
+        "offset": [0.0, 1.0],
+        "rotation": math.pi / 2,
+        "scale": [0.5, 0.5],
+        "texCoord": 1,
+    }
+}
+
+
+@pytest.mark.parametrize(
+    ("corners", "texture"),
+    [
+        ({"TEXCOORD_0": (PICTURE * 65535).astype(np.uint16)}, {"index": 0}),
+        (
+            {"TEXCOORD_0": 0 * PICTURE, "TEXCOORD_1": (PICTURE * 255).astype(np.uint8)},
+            {"index": 0, "texCoord": 1},
+        ),
+        # (u, v) -> (v, -u) / 2 + (0, 1), of (2 - 2 v, 2 u)
+        (
+            {
+                "TEXCOORD_0": 0 * PICTURE,
+                "TEXCOORD_1": np.stack((2 - 2 * PICTURE[:, 1], 2 * PICTURE[:, 0]), 1),
+            },
+            {"index": 0, "extensions": TURNED},
+        ),
+    ],
+)
+def test_textures_of_a_gltf_lie_where_its_material_says(corners: Any, texture: Any, tmp_path: Path) -> None:
+    path = square(tmp_path, {"POSITION": CORNERS, **corners}, {"baseColorTexture": texture})
+    spots = torch.tensor([[-0.9, -0.9, 1.0], [0.9, -0.9, 1.0], [-0.9, 0.9, 1.0], [0.9, 0.9, 1.0]])
+    seen = render_directions(read_mesh_scene(path), ORIGIN, torch.nn.functional.normalize(spots, dim=-1))
+    assert seen.argmax(0).tolist() == [0, 0, 1, 2]
+
+
+def test_what_a_gltf_needs_is_read_or_refused(tmp_path: Path) -> None:
+    small = {"POSITION": (CORNERS * 32767).astype(np.int16)}
+    path = square(tmp_path, small, extensionsRequired=["KHR_mesh_quantization"])
+    assert ray_depth(read_mesh_scene(path), ORIGIN, FORWARD).item() == pytest.approx(1.0)
+    for name in ("EXT_meshopt_compression", "KHR_draco_mesh_compression"):
+        path = square(tmp_path, {"POSITION": CORNERS}, extensionsRequired=[name])
+        with pytest.raises(
+            FileFormatError, match=r"square\.gltf: it (needs the extension|is compressed by Draco)"
+        ):
+            read_mesh_scene(path)
+    tree = json.loads(square(tmp_path, {"POSITION": CORNERS}).read_text())
+    tree["accessors"][0]["sparse"] = {"count": 1}
+    path.write_text(json.dumps(tree))
+    with pytest.raises(FileFormatError, match="sparse accessors, which are not read"):
+        read_mesh_scene(path)

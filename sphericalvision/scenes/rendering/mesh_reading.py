@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from itertools import islice, takewhile
 from pathlib import Path
 from typing import Any
@@ -18,11 +18,10 @@ from trimesh.exchange.gltf.extensions import _handlers as handlers
 from trimesh.util import log
 
 from sphericalvision.core import FileFormatError, MissingFileError
+from sphericalvision.scenes.rendering.gltf import NUMBERS, Gltf, in_floats
 
 __all__ = ["load_mesh"]
 
-MOST_EMPTY = 2**20
-"""Points of accessors without a buffer, as those of sparse ones are."""
 SPECULAR = "KHR_materials_pbrSpecularGlossiness"
 
 
@@ -33,15 +32,15 @@ def load_mesh(path: Path) -> trimesh.Scene:
         FileFormatError: it cannot be read.
     """
     folder, suffix = MeshFolder(path.parent), path.suffix.lower()
-    _check_accessors(path)
+    gltf = Gltf(path) if suffix in (".gltf", ".glb") else None
     if suffix == ".off":
         _check_off_colours(path)
     if suffix == ".ply":
         _check_ply_colours(path)
     # Else corners in one place would become one, of one of their colours. Formats without colours save memory by that.
-    apart = {"process": False} if suffix in (".ply", ".obj") else {}
+    apart: dict[str, Any] = {"process": False} if suffix in (".ply", ".obj") else {}
     try:
-        with _complaints(folder.missing), path.open("rb") as file:
+        with _complaints(folder.missing, gltf), gltf.file if gltf else path.open("rb") as file:
             loaded = trimesh.load_scene(file, suffix[1:], resolver=folder, **apart)
         for part in loaded.geometry.values():
             if isinstance(part, trimesh.Trimesh):
@@ -59,25 +58,6 @@ def load_mesh(path: Path) -> trimesh.Scene:
             stacklevel=3,
         )
     return loaded
-
-
-def _check_accessors(path: Path) -> None:
-    """Raise for a glTF whose accessors hold more numbers than its bytes: without a buffer they are zeros, made here."""
-    if path.suffix.lower() not in (".gltf", ".glb"):
-        return
-    try:
-        with path.open("rb") as file:
-            head = file.read(20)
-            size = int.from_bytes(head[12:16], "little")
-            text = file.read(size) if head[:4] == b"glTF" else head + file.read()
-        accessors = json.loads(text)["accessors"]
-        empty = sum(int(accessor["count"]) for accessor in accessors if "bufferView" not in accessor)
-    except Exception:  # trimesh says what is wrong
-        return
-    if empty > MOST_EMPTY:
-        raise FileFormatError(
-            f"{path}: its accessors without a buffer hold {empty:,} points, all zero; expected {MOST_EMPTY:,} at most"
-        )
 
 
 def _check_off_colours(path: Path) -> None:
@@ -151,8 +131,10 @@ class MeshFolder(Mapping[str, bytes]):
 
 
 @contextmanager
-def _complaints(messages: list[str]) -> Iterator[None]:
+def _complaints(messages: list[str], gltf: Gltf | None) -> Iterator[None]:
     """Add to ``messages`` what trimesh cannot load meanwhile: it goes on without, and tells only its log.
+
+    Numbers of a glTF are made ready.
 
     Textures of the extension `SPECULAR` stay packed meanwhile: trimesh would unpack and mix them, of whatever size.
     """
@@ -166,6 +148,8 @@ def _complaints(messages: list[str]) -> Iterator[None]:
 
     log.addFilter(keep)
     handlers["material"][SPECULAR] = _colours_only
+    if gltf is not None:
+        handlers["primitive_preprocess"][NUMBERS] = partial(in_floats, gltf.header)
     log.setLevel(logging.DEBUG)
     try:
         yield
@@ -173,6 +157,7 @@ def _complaints(messages: list[str]) -> Iterator[None]:
         log.setLevel(before)
         log.removeFilter(keep)
         handlers["material"][SPECULAR] = specular
+        handlers["primitive_preprocess"].pop(NUMBERS, None)
 
 
 def _colours_only(context: Mapping[str, Any]) -> dict[str, Any]:

@@ -251,9 +251,10 @@ def _check_size(parts: list[trimesh.Trimesh], places: list[tuple[int, Array]]) -
             f"mesh: expected triangles, at most {MOST_TRIANGLES} in all pieces, found {triangles or 'none'}"
         )
     for part in parts:
-        if part.visual.kind == "face" and len(part.visual.face_colors) != len(part.faces):
+        visual: Any = part.visual
+        if visual.kind == "face" and len(visual.face_colors) != len(part.faces):
             raise ArgumentError(
-                f"mesh: its {len(part.visual.face_colors)} colours are of polygons, which are {len(part.faces)} "
+                f"mesh: its {len(visual.face_colors)} colours are of polygons, which are {len(part.faces)} "
                 "triangles here; expected a colour for each triangle or vertex"
             )
     images = {id(image): image for image in (_image(part.visual) for part in parts) if image is not None}
@@ -282,9 +283,21 @@ def _look(part: trimesh.Trimesh) -> tuple[_Texture | None, Tensor]:
         return None, _linear(torch.from_numpy(visual.face_colors[:, :3].copy()))[:, None].expand(
             -1, 3, -1
         ).clone()
-    color = getattr(getattr(visual, "material", None), "main_color", (180, 180, 180, 255))
+    material: Any = getattr(visual, "material", None)
+    if hasattr(material, "baseColorFactor"):
+        return None, _shade(material.baseColorFactor, visual.vertex_attributes.get("color"), part.faces)
+    color = getattr(material, "main_color", (180, 180, 180, 255))
     plain = _linear(torch.tensor(np.array(color, dtype=np.uint8)[:3]))
     return None, plain.expand(len(part.faces), 3, 3).clone()
+
+
+def _shade(factor: Array | None, colors: Array | None, faces: Array) -> Tensor:
+    """Linear colours of corners ``(f, 3, 3)``: a material's factor times colours of vertices, as glTF has it."""
+    shade = np.ones((len(faces), 3, 3), np.float32)
+    for levels in (factor, None if colors is None else colors[faces]):
+        if levels is not None:
+            shade *= levels[..., :3] / (255 if levels.dtype.kind == "u" else 1)
+    return torch.from_numpy(shade)
 
 
 def _image(visual: Any) -> Any:

@@ -122,12 +122,11 @@ def _compare(
         ]
         columns = ["from the axis (°)", "mean (px)", "max (px)", "mean (°)", "max (°)"]
         print_table(f"{name}: {config.file.calibration} and {config.with_}", columns, rows)
-    if (
-        isinstance(calibration, CameraRig)
-        and isinstance(other, CameraRig)
-        and len(calibration) == len(other) > 1
-    ):
-        _compare_poses(calibration, other)
+    if isinstance(calibration, CameraRig) and isinstance(other, CameraRig) and len(calibration) > 1:
+        if set(names) <= set(other.names):
+            other = other.subset(names)
+        if len(other) == len(calibration):
+            _compare_poses(calibration, other)
 
 
 def _compare_poses(rig: CameraRig, other: CameraRig) -> None:

@@ -178,6 +178,12 @@ def test_two_calibrations_are_compared_by_the_angle_from_the_axis(
     assert "right" in printed
     assert "left " not in printed.split("Poses")[0]
     assert "14.14" in printed.split("Poses")[1]  # 10 mm outwards, as seen from another that moved as much
+    names = read_rig(calibration).names
+    CameraRig(dict.fromkeys(names, wider), poses).subset(names[::-1]).to_yaml(
+        calibration.parent / "back.yaml"
+    )
+    run("convert", f"calibration={calibration}", "with=back.yaml", "camera=right")
+    assert capsys.readouterr().out.split("Poses")[1] == printed.split("Poses")[1]
     small = LENS.resized((152, 152))
     CameraRig([small] * 4, poses).to_yaml(calibration.parent / "small.yaml")
     for words, message in (

@@ -213,6 +213,15 @@ def test_an_ocam_camera_has_the_axes_of_pixels_that_are_no_squares(down: float, 
     torch.testing.assert_close(ocam.affine, expected, atol=1e-6, rtol=0)
 
 
+def test_a_model_that_reaches_but_a_spot_is_refused() -> None:
+    """Decentred so much that the polynomial misses the centre by pixels, and ends there."""
+    lens = BrownConradyCamera(
+        [182.3, 190.2], [258.1, 229.0], [-0.27, -0.009, 0.0094, -0.0036, 0.0126], (475, 515)
+    )
+    with pytest.raises(ArgumentError, match="a OCamCamera cannot show what this BrownConradyCamera"):
+        convert(double(lens), to=OCamCamera)
+
+
 def test_a_turned_ocam_image_is_off_by_its_turn() -> None:
     """The frame stays, so models that cannot turn the image miss by the turn, and the error says so."""
     ocam = real_ocam()

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, check_single
-from sphericalvision.cameras.conversion.fit import ROUNDS, fit_model
+from sphericalvision.cameras.conversion.fit import ROUNDS, cannot_show, fit_model
 from sphericalvision.cameras.field_of_view import cap, directions_around_axis, visible_angle
 from sphericalvision.cameras.fitting import FittedModel, fit_choices, fitted_classes
 from sphericalvision.cameras.model_alone import project_by_model
@@ -251,6 +251,8 @@ def _errors(original: Camera, new: Camera, directions: Tensor, covered: float) -
         pairs.append((expected, project_by_model(new.exact(), directions).pixels))
     gaps = [(first - second)[seen].norm(dim=-1) for first, second in pairs]
     even = int(seen[:_HELD_OUT].sum())  # those along the edge, behind, are too many for a mean over the view
+    if not even:  # what is covered has shrunk to a spot
+        raise cannot_show(original, type(new))
     return (
         max(float(gap.max()) for gap in gaps),
         max(float(gap[:even].square().mean().sqrt()) for gap in gaps),

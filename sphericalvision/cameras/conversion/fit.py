@@ -17,7 +17,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import angle_from_axis
 from sphericalvision.geometry.least_squares import solve_least_squares
 
-__all__ = ["ROUNDS", "Fit", "fit_model"]
+__all__ = ["ROUNDS", "Fit", "cannot_show", "fit_model"]
 
 ROUNDS = 6
 """Fits over a field of view that is narrowed to what the model reaches."""
@@ -67,8 +67,13 @@ def fit_model(camera: Camera, model: FittedModel, held_out: Float[Tensor, "n 3"]
         if not len(lost):
             return Fit(model, best, limit, least)
         limit = float(lost.min()) * (1 - 1e-3)
-    raise ArgumentError(
-        f"camera: a {model.camera_class.__name__} cannot show what this {camera!r} sees; choose another model or, for "
+    raise cannot_show(camera, model.camera_class)
+
+
+def cannot_show(camera: Camera, model: type[Camera]) -> ArgumentError:
+    """The error of a model that reaches nothing of a camera's view."""
+    return ArgumentError(
+        f"camera: a {model.__name__} cannot show what this {camera!r} sees; choose another model or, for "
         "the part around the axis, a smaller max_angle"
     )
 

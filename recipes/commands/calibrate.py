@@ -134,10 +134,15 @@ def board_of(config: CalibrateConfig) -> Board:
     """The board that a configuration describes: a target file, or inner corners with the side of squares and markers.
 
     Raises:
-        ArgumentError: it does not.
+        ArgumentError: it does not, or says twice what a target file says.
     """
     name = str(config.board)
     if name.lower().endswith((".yaml", ".yml")):
+        for key in ("square", "marker"):
+            if (value := getattr(config, key)) is not None:
+                raise ArgumentError(
+                    f"{key}: the target file {name} says it, got {value:g} beside it; leave it out"
+                )
         return read_board(name)
     match = re.fullmatch(r"\s*(\d+)\s*x\s*(\d+)\s*", name)
     if not match or min(int(match[1]), int(match[2])) < 3:

@@ -169,6 +169,8 @@ def test_mistakes_are_named(failing: Callable[..., str], tmp_path: Path) -> None
     assert "nothing/*.png" in failing("calibrate", "board=9x6", *words)
     assert "such as 9x6" in failing("calibrate", "board=nine", "square=0.03", f"images={__file__}")
     assert "square" in failing("calibrate", "board=9x6", f"images={__file__}")
+    message = failing("calibrate", "board=target.yaml", "square=0.03", f"images={__file__}")
+    assert "square: the target file target.yaml says it" in message
     assert "dictionary" in failing(
         "calibrate", "board=9x6", "dictionary=5X5_50", f"images={__file__}", "square=0.03"
     )

@@ -167,7 +167,7 @@ class CaptureFields:
 
 def size_of_images(pattern: str) -> tuple[int, int] | None:
     """Height and width of the images of a pattern; None where these are not all the same."""
-    files = glob.glob(re.sub(r"\{.*?\}", "*", pattern))
+    files = glob.glob("*".join(map(glob.escape, re.split(r"\{.*?\}", pattern))))
     sizes = {read_image_size(file) for file in files if Path(file).suffix.lower() in IMAGE_SUFFIXES}
     return sizes.pop() if len(sizes) == 1 else None
 

@@ -263,12 +263,12 @@ def test_sizes_that_a_calibration_lacks_are_the_images_or_given(
     (tmp_path / "c/transforms.json").write_text(json.dumps(content))
     keys: dict[str, Any] = {
         "calibration": f"{tmp_path}/c/transforms.json",
-        "images": f"{tmp_path}/c/{{camera}}.png",
+        "images": f"{tmp_path}/i[1]/{{camera}}.png",
     }
     for number in range(2):
-        write_image(tmp_path / f"c/cam{number}.png", torch.zeros(3, 24, 32))
+        write_image(tmp_path / f"i[1]/cam{number}.png", torch.zeros(3, 24, 32))
     assert {camera.image_size for camera in Capture(**keys).open().rig.cameras.values()} == {(24, 32)}
-    write_image(tmp_path / "c/cam1.png", torch.zeros(3, 24, 40))
+    write_image(tmp_path / "i[1]/cam1.png", torch.zeros(3, 24, 40))
     with pytest.raises(ArgumentError, match=r"image_size: .* pass image_size=\[height,width\]"):
         Capture(**keys).open()
     for command in ("inspect", "convert"):

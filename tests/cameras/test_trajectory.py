@@ -58,6 +58,7 @@ TABLES = {
     "no comment": table(way(), "time,x,y,z,qx,qy,qz,qw", W_LAST),
     "turn before place": table(way(), "# t qx qy qz qw x y z", "qx qy qz qw x y z", " "),
     "prose": table(way(), "# ground truth trajectory by x, y and z", W_LAST, " "),
+    "another name of time": table(way(), "# ts tx ty tz qw qx qy qz", W_FIRST, " "),
     "semicolons": table(way(), "time;x;y;z;qx;qy;qz;qw", W_LAST, ";"),
     "tabs": table(way(), "time\tx\ty\tz\tqx\tqy\tqz\tqw", W_LAST, "\t"),
     "quoted": table(way(), '"time","tx","ty","tz","qx","qy","qz","qw"', W_LAST),

@@ -171,8 +171,11 @@ def _columns(line: str) -> list[str] | None:
     names = [
         next((to for to, pattern in _HEADERS.items() if pattern.fullmatch(word)), word) for word in words
     ]
-    has_time = any(name in names for name in _TIMES)
-    return names if has_time and all(names.count(name) == 1 for name in COLUMNS[1:]) else None
+    if not all(names.count(name) == 1 for name in COLUMNS[1:]):
+        return None
+    if not any(name in names for name in _TIMES):  # ts, frame, or whatever it is called by
+        names = ["time", *names[1:]] if names[0] not in COLUMNS else []
+    return names or None
 
 
 def _of_images(path: Path) -> Trajectory:

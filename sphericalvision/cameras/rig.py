@@ -18,7 +18,13 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, check_single
-from sphericalvision.cameras.checks import check_image, check_poses, check_rotation, checked_size
+from sphericalvision.cameras.checks import (
+    at_least_float32,
+    check_image,
+    check_poses,
+    check_rotation,
+    checked_size,
+)
 from sphericalvision.cameras.masks import is_usable, resized_mask, stack_masks
 from sphericalvision.cameras.models.fisheye import FisheyeCamera
 from sphericalvision.core import (
@@ -400,6 +406,7 @@ class CameraRig:
         check_last_dim("points", points, 3)
         if points.ndim < 2:
             raise ShapeError(f"points: expected (P, 3) or (*b, P, 3), got {tuple(points.shape)}")
+        points = at_least_float32("points", points)
         positions = self.positions.to(points)
         return self._project_rays([points - positions[..., i, None, :] for i in range(len(self))])
 
@@ -423,6 +430,7 @@ class CameraRig:
             raise ShapeError(
                 f"directions: expected (V, 3), got {tuple(directions.shape)}; flatten the grid first"
             )
+        directions = at_least_float32("directions", directions)
         near = inverse_depths.to(directions)
         near = near[:, None] if near.ndim == 1 else near
         if near.ndim < 2 or near.shape[-1] not in (1, len(directions)):

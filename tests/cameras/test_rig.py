@@ -286,6 +286,22 @@ def test_project_along_is_exact_far_away_and_equals_project_near_by(generator: t
     assert torch.equal(rig.project_along(directions, own).valid, valid)
 
 
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_points_in_half_precision_are_projected_in_float32(
+    dtype: torch.dtype, generator: torch.Generator
+) -> None:
+    rig = ring_rig(5, radius=0.23).rotated(tilt=0.37)
+    points = torch.randn(50, 3, generator=generator).to(dtype)
+    near = torch.tensor([0.0, 0.5], dtype=dtype)
+    for found, expected in (
+        (rig.project(points), rig.project(points.float())),
+        (rig.project_along(points, near), rig.project_along(points.float(), near.float())),
+    ):
+        assert found.pixels.dtype == torch.float32
+        assert torch.equal(found.pixels, expected.pixels)
+        assert torch.equal(found.valid, expected.valid)
+
+
 def test_rigs_of_a_batch_project_as_their_members(generator: torch.Generator) -> None:
     batch = masked_ring(0.0, 0.4)
     points = torch.randn(2, 30, 3, generator=generator, dtype=torch.float64)

@@ -26,7 +26,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import SampleView
 from sphericalvision.data.sample_view import ToView
 from sphericalvision.models import DepthNetwork
-from sphericalvision.recipes.app.captures import AUTO, CaptureFields, with_own_body_masked
+from sphericalvision.recipes.app.captures import AUTO, CaptureFields, cut_to_visible, with_own_body_masked
 from sphericalvision.recipes.app.cli import console
 from sphericalvision.recipes.app.kinds import Count, Number, Positive, Share
 from sphericalvision.recipes.datamodules.data_module import PreparedSamples, Sample
@@ -129,6 +129,7 @@ class CaptureDataModule(CaptureFields, PreparedSamples):
         if len(self.source.rig) < 2:
             raise ArgumentError("data.cameras: expected two or more that see the same things, got one")
         self.names = self._chosen(self.source)
+        cut_to_visible(self.source, self.max_angle_deg)
         self.labelled: dict[str, LabelledFrame] = {}
         self.rig = self.source.rig
         self.net: DepthNetwork | None = None

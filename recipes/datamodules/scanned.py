@@ -26,7 +26,7 @@ from sphericalvision.data.scanned.own import OwnScans
 from sphericalvision.data.scanned.scanned_frames import ScannedFrames
 from sphericalvision.data.scanned.spires import SpiresDataset
 from sphericalvision.data.scanned.widedepth import WideDepthDataset
-from sphericalvision.recipes.app.captures import AUTO, CaptureFields, masked_by_itself
+from sphericalvision.recipes.app.captures import AUTO, CaptureFields, cut_to_visible, masked_by_itself
 from sphericalvision.recipes.app.kinds import Count, Positive, Share, Text
 from sphericalvision.recipes.datamodules.data_module import Sample
 from sphericalvision.recipes.datamodules.depth_data_module import DepthDataModule
@@ -266,6 +266,7 @@ class OwnScansDataModule(CaptureFields, ScannedDataModule):
             )
         if self.masks == AUTO:
             source.rig = masked_by_itself(source)
+        cut_to_visible(source, self.max_angle_deg)
         self.source = source
 
     def frames(self, split: str, height: int, transform: Transform) -> OwnScans:

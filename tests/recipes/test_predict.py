@@ -26,6 +26,8 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image, write_image
 from sphericalvision.models import IcoSweepNet, save_weights
 from sphericalvision.recipes.app.rigs import make_ring
+from sphericalvision.recipes.datamodules.capture import CaptureDataModule
+from sphericalvision.recipes.datamodules.scanned import OwnScansDataModule
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.scenes.disturbances import CameraDisturbance
 from sphericalvision.sphere import Equirectangular
@@ -153,6 +155,11 @@ def test_a_field_of_view_that_the_calibration_does_not_tell_is_that_of_the_image
     np.testing.assert_allclose(results["told"], results["rig"], atol=1e-2)
     run("inspect", f"calibration={folder}/wide.yaml", f"images={folder}/{{camera}}/{{frame}}.png", "level=3")
     assert "cam3 is dark beyond 95°" in " ".join(capsys.readouterr().out.split())
+    for name in rig.names:
+        shutil.copy(folder / name / "1.png", folder / name / "2.png")
+    given = {"images": f"{folder}/{{camera}}/{{frame}}.png", "calibration": f"{folder}/wide.yaml"}
+    for data in (CaptureDataModule(**given, world={}), OwnScansDataModule(**given, points=str(folder))):
+        assert data.source.rig.cameras["cam3"].max_angle == pytest.approx(math.radians(95), abs=0.01)
 
 
 @pytest.mark.slow

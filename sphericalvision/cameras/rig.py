@@ -296,6 +296,9 @@ class CameraRig:
                 a number, or an angle for each camera, ``(*b, n)``.
             rotation: ``(*b, 3, 3)`` turns the whole rig about the world's origin, after the tilt.
 
+        Raises:
+            ArgumentError: a tilt beyond ±2π, or what is no rotation.
+
         References:
             Komatsu et al. (2020), section IV-C.
 
@@ -307,6 +310,8 @@ class CameraRig:
             raise ArgumentError(
                 "tilt: expected angles in radians, got 3 x 3 matrices; pass them as rotation=..."
             )
+        if isinstance(tilt, int | float) and abs(tilt) > 2 * math.pi:
+            raise ArgumentError(f"tilt: expected radians within ±2π, got {tilt:g}; are these degrees?")
         poses = self.world_from_camera
         angle = torch.as_tensor(tilt, dtype=poses.dtype, device=poses.device)
         zero = torch.zeros_like(angle)

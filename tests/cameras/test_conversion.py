@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 import torch
@@ -22,8 +23,11 @@ from sphericalvision.cameras import (
     PinholeCamera,
     RadialPolynomialCamera,
     UnifiedCamera,
+    compare_cameras,
     convert,
     fit_inverse_polynomial,
+    perspective_views,
+    ring_rig,
     straighten,
     straighten_rig,
 )
@@ -211,6 +215,23 @@ def test_an_ocam_camera_has_the_axes_of_pixels_that_are_no_squares(down: float, 
     assert largest < 0.002
     expected = torch.tensor([down / 250, 0, skew / 250], dtype=torch.float64)
     torch.testing.assert_close(ocam.affine, expected, atol=1e-6, rtol=0)
+
+
+WIDE = FisheyeCamera.from_field_of_view((64, 64), 3.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "call"),
+    [
+        ("max_angle", lambda: convert(WIDE, KannalaBrandtCamera, max_angle=80)),
+        ("angles", lambda: compare_cameras(WIDE, WIDE, [0, 40, 80])),
+        ("views", lambda: perspective_views(torch.rand(3, 32, 64), [(90, 0, 0)])),
+        ("tilt", lambda: ring_rig(4).rotated(tilt=30)),
+    ],
+)
+def test_degrees_are_refused(name: str, call: Callable[[], Any]) -> None:
+    with pytest.raises(ArgumentError, match=rf"{name}: expected radians .* are these degrees\?"):
+        call()
 
 
 def test_a_model_that_reaches_but_a_spot_is_refused() -> None:

@@ -48,7 +48,7 @@ def compare_cameras(first: Camera, second: Camera, angles: Sequence[float] | Non
         angles: radians from the axis; every 10°, and the widest that both see, when not given.
 
     Raises:
-        ArgumentError: a batch, or other image sizes.
+        ArgumentError: a batch, other image sizes, or angles beyond π.
 
     Examples:
         >>> from sphericalvision.cameras import FisheyeCamera
@@ -71,6 +71,8 @@ def compare_cameras(first: Camera, second: Camera, angles: Sequence[float] | Non
         widest = float(visible_angle(first, azimuth).minimum(visible_angle(second, azimuth)).max())
         angles = [*(_STEP * k for k in range(math.ceil(widest / _STEP - 1e-3))), widest]
     rings = torch.tensor(list(angles), dtype=torch.float64)
+    if not bool(((rings >= 0) & (rings < 3.1416)).all()):
+        raise ArgumentError(f"angles: expected radians from 0 to π, got {rings.tolist()}; are these degrees?")
     directions = directions_around_axis(rings.unsqueeze(-1), azimuth)
     pixels, seen = first.project(directions)
     others, other_seen = second.project(directions)

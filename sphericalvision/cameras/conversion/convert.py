@@ -110,8 +110,10 @@ def convert(
     edge = visible_angle(exact, azimuth)
     limit = float(edge.max())
     if max_angle is not None:
-        if not max_angle > 0:
-            raise ArgumentError(f"max_angle: expected radians above 0, got {max_angle}")
+        if not 0 < max_angle < 3.1416:
+            raise ArgumentError(
+                f"max_angle: expected radians above 0 up to π, got {max_angle}; are these degrees?"
+            )
         limit = min(limit, max_angle)
     held_out = torch.cat(
         (cap(limit, _HELD_OUT, exact), directions_around_axis(edge.clamp_max(limit) * (1 - 1e-9), azimuth))

@@ -14,7 +14,8 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.cameras.remapping.remap import remap
-from sphericalvision.core import ShapeError, check_tensor, full_precision
+from sphericalvision.core import ArgumentError, ShapeError, check_tensor, full_precision
+from sphericalvision.geometry.directions import holds
 
 __all__ = ["checked_angles", "perspective_views", "rotation_from_yaw_pitch_roll"]
 
@@ -55,6 +56,10 @@ def checked_angles(
     angles = torch.as_tensor(views, dtype=torch.float64)
     if angles.ndim != 2 or angles.shape[-1] != 3:
         raise ShapeError(f"{name}: expected (n, 3) as yaw, pitch and roll, got shape {tuple(angles.shape)}")
+    if not holds(angles.abs() <= 2 * math.pi + 1e-3):
+        raise ArgumentError(
+            f"{name}: expected radians within ±2π, got {float(angles.abs().max()):g}; are these degrees?"
+        )
     return angles
 
 
@@ -81,7 +86,7 @@ def perspective_views(
 
     Raises:
         ShapeError: the views are not (n, 3), or the image is not of the source's size, or without a source no panorama.
-        ArgumentError: a field of view that no pinhole has, or an unknown mode.
+        ArgumentError: angles beyond ±2π, a field of view that no pinhole has, or an unknown mode.
 
     Examples:
         >>> panorama = EquirectangularCamera((64, 128)).pixel_grid().movedim(-1, 0)  # its own pixel coordinates

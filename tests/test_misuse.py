@@ -227,6 +227,8 @@ level_from_num_vertices('many') -> number of vertices: 'many'
 Equirectangular(4.5, 8) -> height: 4.5
 Equirectangular(8, 16).sample(np.zeros((3, 8, 16)), DIRECTIONS) -> values: numpy
 Equirectangular(8, 16).sample(torch.zeros(3, 8, 16), INTEGERS) -> directions: int64
+Equirectangular(8, 16).sample(torch.zeros(3, 8, 16).byte(), DIRECTIONS) -> values: uint8
+Cubemap(4).sample(torch.zeros(3, 6, 4, 4).byte(), DIRECTIONS) -> values: uint8
 cube_pad(torch.zeros(1, 3, 5, 4, 4), 1) -> faces: 6, S, S
 cube_pad(np.zeros((1, 3, 6, 4, 4)), 1) -> faces: numpy
 cube_pad(torch.zeros(1, 3, 6, 4, 4), 9) -> padding: 9

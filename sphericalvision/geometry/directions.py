@@ -28,6 +28,7 @@ __all__ = [
     "from_components",
     "has_numbers",
     "holds",
+    "in_single_precision",
     "lifted_radius",
     "longitude_latitude_from_directions",
     "moderate_lengths",
@@ -134,6 +135,16 @@ def check_directions(directions: Float[Tensor, "*batch 3"]) -> None:
         )
 
 
+def in_single_precision(numbers: Float[Tensor, " ..."]) -> Float[Tensor, " ..."]:
+    """Return numbers in half precision in float32, in which geometry is computed at least, and others as they are.
+
+    Examples:
+        >>> in_single_precision(torch.zeros(2, dtype=torch.float16)).dtype
+        torch.float32
+    """
+    return numbers.float() if numbers.dtype in (torch.float16, torch.bfloat16) else numbers
+
+
 def safe_sqrt(x: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     """Square root of ``x`` (*), with value and derivative 0 where ``x`` is not positive.
 
@@ -183,13 +194,15 @@ def lifted_radius(
 def moderate_lengths(points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
     """``points`` (*, 3) with those scaled to a length around 1 whose squares or products could overflow or vanish.
 
-    All others, between 0.01 mm and three million kilometres, are handed on as they are, to the last bit. A zero vector
-    stays zero; infinite ones become NaN, because nobody knows where they point.
+    All others, between 0.01 mm and three million kilometres, are handed on as they are, to the last bit; in half
+    precision they become float32. A zero vector stays zero; infinite ones become NaN, because nobody knows where they
+    point.
 
     Examples:
         >>> moderate_lengths(torch.tensor([[3.0, 0.0, 4.0], [3e30, 0.0, 4e30], [3e-30, 0.0, 4e-30]])).tolist()[1:]
         [[0.75, 0.0, 1.0], [0.75, 0.0, 1.0]]
     """
+    points = in_single_precision(points)
     x, y, z = components(points.detach())
     squared = torch.addcmul(torch.addcmul(x * x, y, y), z, z)
     shortest, longest = 1e-10, 1e19
@@ -207,7 +220,7 @@ def moderate_lengths(points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch
 
 
 def normalize(vectors: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch n"]:
-    """Scale ``vectors`` (*, 3) to unit length; a zero vector stays zero.
+    """Scale ``vectors`` (*, 3) to unit length, in float32 at least; a zero vector stays zero.
 
     Examples:
         >>> normalize(torch.tensor([0.0, 0.0, 2.0])).tolist()
@@ -215,6 +228,7 @@ def normalize(vectors: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch n"]:
     """
     check_last_dim("vectors", vectors, 3)
     check_floating("vectors", vectors)
+    vectors = in_single_precision(vectors)
     x, y, z = components(vectors)
     largest = torch.maximum(torch.maximum(x.detach().abs(), y.detach().abs()), z.detach().abs())
     largest = (largest + (largest == 0)).clamp_min(torch.finfo(vectors.dtype).tiny)
@@ -235,7 +249,7 @@ def angle_from_axis(points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch"
     """
     check_last_dim("points", points, 3)
     check_floating("points", points)
-    x, y, z = components(points)
+    x, y, z = components(in_single_precision(points))
     return torch.atan2(safe_hypot(x, y), z)
 
 
@@ -269,6 +283,7 @@ def directions_from_longitude_latitude(
     for name, angle in (("longitude", longitude), ("latitude", latitude)):
         check_tensor(name, angle, "(*)")
         check_floating(name, angle)
+    longitude, latitude = in_single_precision(longitude), in_single_precision(latitude)
     flat = torch.cos(latitude)  # of as many as there are: a grid has one latitude a row
     return from_components(flat * torch.sin(longitude), -torch.sin(latitude), flat * torch.cos(longitude))
 

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_last_dim, check_tensor
-from sphericalvision.geometry.directions import check_directions, moderate_lengths
+from sphericalvision.geometry.directions import check_directions, in_single_precision, moderate_lengths
 from sphericalvision.geometry.lookup import weighted_sums
 from sphericalvision.icosphere.adjacency import icosphere_edges, icosphere_neighbors
 from sphericalvision.icosphere.areas import icosphere_solid_angles
@@ -161,7 +161,7 @@ class Icosphere(nn.Module):
             )
         if directions.ndim < 2:
             raise ShapeError(f"directions: expected shape (*b, n, 3), got {tuple(directions.shape)}")
-        ids, weights = self.locate(directions)
+        ids, weights = self.locate(in_single_precision(directions))
         if values.ndim == 1:
             return weighted_sums(values[None], ids, weights)[..., 0, :]
         return weighted_sums(values, ids, weights)

@@ -154,8 +154,7 @@ def locate(
             f"directions: expected a floating point tensor, got {directions.dtype}; use .float()"
         )
     check_level(level)
-    flat = directions.reshape(-1, 3).to(torch.promote_types(directions.dtype, torch.float32))
-    flat = moderate_lengths(flat)
+    flat = moderate_lengths(directions.reshape(-1, 3))
     # A table of all triangles pays for many directions; fewer of them descend.
     if len(flat) >= 2 * num_icosphere_vertices(level) and fast_wing_open():
         ids, weights = _locate_in_chunks(flat, level)

@@ -22,7 +22,7 @@ from sphericalvision.icosphere.topology import check_level
 from sphericalvision.sweep.ring_mean import ids_of_coarser_level, ring_mean
 from sphericalvision.sweep.sphere_sweep import sphere_sweep
 from sphericalvision.sweep.sweep_tables import SweepTables
-from sphericalvision.sweep.visibility import check_seen, in_single_precision, one_at_a_time
+from sphericalvision.sweep.visibility import check_seen, images_in_single_precision, one_at_a_time
 
 __all__ = ["LEAST_SHARE", "NOISE", "correlation_evidence", "mean_of_better_half", "window_correlations"]
 
@@ -82,7 +82,7 @@ def correlation_evidence(
         raise ShapeError(
             f"images: expected shape (B, n, C, V) of two or more cameras, got {tuple(images.shape)}"
         )
-    images = in_single_precision("images", images)
+    images = images_in_single_precision("images", images)
     batch = images.shape[0]
     table_level = level_from_num_vertices(tables.ids.shape[-3])
     level = table_level if level is None else check_level(level)

@@ -15,6 +15,7 @@ from jaxtyping import Float, Num
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_floating, check_tensor, check_type, short_repr
+from sphericalvision.geometry.directions import in_single_precision
 
 __all__ = [
     "INVERSE_DEPTH_OFFSET",
@@ -123,7 +124,7 @@ def index_from_inverse_depth(
     check_hypotheses(num_hypotheses, min_depth)
     check_tensor("inverse_depth", inverse_depth, "(*)")
     check_floating("inverse_depth", inverse_depth)
-    inverse_depth = inverse_depth.to(torch.promote_types(inverse_depth.dtype, torch.float32))
+    inverse_depth = in_single_precision(inverse_depth)
     return (inverse_depth - INVERSE_DEPTH_OFFSET).clamp(min=0) * ((num_hypotheses - 1) * min_depth)
 
 
@@ -140,5 +141,5 @@ def index_from_depth(
     """
     check_tensor("depth", depth, "(*)")
     check_floating("depth", depth)
-    depth = depth.to(torch.promote_types(depth.dtype, torch.float32))
+    depth = in_single_precision(depth)
     return index_from_inverse_depth(depth.reciprocal(), num_hypotheses, min_depth)

@@ -19,7 +19,7 @@ from sphericalvision.sweep.regression import DepthEstimate
 from sphericalvision.sweep.ring_mean import ids_of_coarser_level
 from sphericalvision.sweep.sphere_sweep import sphere_sweep
 from sphericalvision.sweep.sweep_tables import sweep_tables
-from sphericalvision.sweep.visibility import check_seen, in_single_precision, seen_in_view
+from sphericalvision.sweep.visibility import check_seen, images_in_single_precision, seen_in_view
 from sphericalvision.sweep.winner import winner_takes_all
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def photo_consistency(
     """
     if sphere_images.ndim != 4 or sphere_images.shape[2] != 3:
         raise ShapeError(f"sphere_images: expected shape (B, n, 3, V), got {tuple(sphere_images.shape)}")
-    sphere_images = in_single_precision("sphere_images", sphere_images)
+    sphere_images = images_in_single_precision("sphere_images", sphere_images)
     check_hypotheses(num_hypotheses, min_depth)
     image_level = level_from_num_vertices(sphere_images.shape[-1])
     level = max(image_level - 2, 0) if level is None else check_level(level)

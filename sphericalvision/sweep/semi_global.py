@@ -20,7 +20,7 @@ from sphericalvision.sweep.ring_mean import ids_of_coarser_level
 from sphericalvision.sweep.smoothing import semi_global_smoothing
 from sphericalvision.sweep.sphere_sweep import sphere_sweep
 from sphericalvision.sweep.sweep_tables import SweepTables, sweep_tables
-from sphericalvision.sweep.visibility import check_seen, in_single_precision, seen_in_view
+from sphericalvision.sweep.visibility import check_seen, images_in_single_precision, seen_in_view
 from sphericalvision.sweep.winner import at_nearest_hypothesis, winner_takes_all
 
 if TYPE_CHECKING:
@@ -131,7 +131,7 @@ def semi_global_sweep(
             "sphere_images: expected shape (B, n, 3, V) of two or more cameras, got "
             f"{tuple(sphere_images.shape)}"
         )
-    sphere_images = in_single_precision("sphere_images", sphere_images)
+    sphere_images = images_in_single_precision("sphere_images", sphere_images)
     check_hypotheses(num_hypotheses, min_depth)
     image_level = level_from_num_vertices(sphere_images.shape[-1])
     level = max(image_level - 2, 0) if level is None else check_level(level)
@@ -234,7 +234,7 @@ def semi_global_costs(
         >>> cost.shape
         torch.Size([1, 8, 162])
     """
-    images = in_single_precision("images", images)
+    images = images_in_single_precision("images", images)
     evidence = correlation_evidence(images, tables, seen, noise=noise)
     _, best, cameras = evidence.unbind(1)
     known = cameras >= 2

@@ -10,12 +10,13 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_tensor, in_one_graph
+from sphericalvision.geometry.directions import in_single_precision
 from sphericalvision.icosphere import icosphere_vertices
 
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
 
-__all__ = ["check_seen", "in_single_precision", "one_at_a_time", "seen_in_view"]
+__all__ = ["check_seen", "images_in_single_precision", "one_at_a_time", "seen_in_view"]
 
 
 def seen_in_view(rig: CameraRig, level: int) -> Bool[Tensor, "*b n V"]:
@@ -53,17 +54,17 @@ def check_seen(
     return seen.expand(shape)
 
 
-def in_single_precision(name: str, images: Float[Tensor, " ..."]) -> Float[Tensor, " ..."]:
+def images_in_single_precision(name: str, images: Float[Tensor, " ..."]) -> Float[Tensor, " ..."]:
     """Return images in float32 at least, or raise ``ArgumentError`` for integers.
 
     What costs are made of, differences and their squares, has no place in half precision.
 
     Examples:
-        >>> in_single_precision("images", torch.zeros(2, dtype=torch.float16)).dtype
+        >>> images_in_single_precision("images", torch.zeros(2, dtype=torch.float16)).dtype
         torch.float32
     """
     check_floating(name, images)
-    return images.float() if images.dtype in (torch.float16, torch.bfloat16) else images
+    return in_single_precision(images)
 
 
 def one_at_a_time(values: Tensor) -> bool:

@@ -278,6 +278,19 @@ def test_a_rotation_for_each_of_a_batch(name: str) -> None:
         torch.testing.assert_close(together, torch.stack(alone), rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("kind", [torch.float16, torch.bfloat16])
+def test_directions_in_half_precision_are_where_they_say(name: str, kind: torch.dtype) -> None:
+    """What is computed of them is computed in float32, as a thousand pixels want it."""
+    grid = make(name, 2)
+    directions = torch.randn(200, 3, generator=torch.Generator().manual_seed(0)).to(kind)
+    values = torch.rand(3, *grid.shape, generator=torch.Generator().manual_seed(1))
+    torch.testing.assert_close(
+        grid.sample(values, directions), grid.sample(values, directions.float()), rtol=0, atol=0
+    )
+    assert torch.equal(grid.nearest(directions), grid.nearest(directions.float()))
+
+
 PARTITIONS = [name for name in WHOLE if name != "tangent"]  # whose patches overlap
 
 

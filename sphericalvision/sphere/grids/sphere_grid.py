@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float, Int, Shaped
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError, check_tensor, check_type
+from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_tensor, check_type
 from sphericalvision.geometry import bilinear_sample
 
 __all__ = ["MAX_CELLS", "GridModule", "SphereGrid", "check_cells", "check_values"]
@@ -118,8 +118,10 @@ class GridModule(nn.Module):
 
         Raises:
             ShapeError: if the values are not on this grid.
+            ArgumentError: if they are integers.
         """
         check_values(values, self.shape)
+        check_floating("values", values)
         result: Tensor = self._interpolated(values, directions)
         return result
 

@@ -21,6 +21,7 @@ from sphericalvision.cameras import (
     read_trajectory,
     ring_rig,
     save_camera,
+    save_rig,
 )
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
 from sphericalvision.data.scanned.deep360 import Deep360Dataset
@@ -226,6 +227,20 @@ def test_the_rigs_own_body_is_masked(tmp_path: Path) -> None:
     (sample,) = own_scans(folder, masks="auto").frames("test", 32, dict)
     assert not sample["seen"]["cam2"][72:90, 30:66].any()
     assert sample["seen"]["cam2"][40:54, 40:54].all()
+
+
+def test_scans_and_rigs_far_from_the_origin_are_as_exact(tmp_path: Path) -> None:
+    """Both in UTM, in double precision."""
+    rig, place = ring_rig(2, image_size=(16, 16)), torch.tensor([500_000.0, 10.0, 4_600_000.0]).double()
+    write_own(tmp_path, rig, ("1",))
+    (near,) = own_scans(tmp_path).frames("test", 32, dict)
+    poses = rig.world_from_camera.double()
+    poses[:, :3, 3] += place
+    save_rig(CameraRig(rig.cameras, poses), tmp_path / "rig.yaml")
+    np.save(tmp_path / "scans/1.npy", np.load(tmp_path / "scans/1.npy").astype(float) + place.numpy())
+    (far,) = own_scans(tmp_path).frames("test", 32, dict)
+    assert torch.equal(near["valid"], far["valid"])
+    torch.testing.assert_close(near["inverse_depth"], far["inverse_depth"], rtol=1e-5, atol=1e-6)
 
 
 def test_a_scanner_has_one_pose(tmp_path: Path) -> None:

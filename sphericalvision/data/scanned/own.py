@@ -75,6 +75,7 @@ class OwnScans(ScannedFrames):
         self.scans = {name: scans[scan] for name, scan in matches.items()}
 
     def points(self, name: str) -> Tensor:
-        """Those of the scan, in the rig's world."""
+        """Those of the scan, in the rig's world, from its origin."""
         scan = read_points(self.scans[name], columns=self.columns)
-        return transform_points(self.rig_from_scanner.double(), scan.double()).float()
+        points = transform_points(self.rig_from_scanner.double(), scan.double())
+        return (points - self.fixed_rig.origin.to(points)).float()

@@ -74,7 +74,8 @@ def read_trajectory(path: str | Path) -> Trajectory:
 
     Raises:
         MissingFileError: there is nothing at ``path``.
-        FileFormatError: it is in none of these formats, or broken; the message names the line.
+        FileFormatError: it is in none of these formats, or broken; the message names the line. Or a folder has two
+            files of COLMAP's that differ.
 
     Examples:
         >>> _ = Path("way.txt").write_text("0.0 0 0 0 0 0 0 1" + chr(10) + "0.1 0 0 0.5 0 0 0 1")
@@ -88,7 +89,12 @@ def read_trajectory(path: str | Path) -> Trajectory:
             raise MissingFileError(
                 f"{path}: expected images.txt or images.bin in this folder, or a file of poses"
             )
-        path = files[0]
+        trajectory, *others = map(_of_images, files)
+        for other in others:
+            both = trajectory.world_from_camera, other.world_from_camera
+            if trajectory.names != other.names or not torch.allclose(*both, rtol=1e-7, atol=1e-5):
+                raise FileFormatError(f"{path}: images.bin and images.txt hold different poses; name one")
+        return trajectory
     check_file(path, "poses of a moving camera")
     if path.suffix == ".bin":
         return _of_images(path)

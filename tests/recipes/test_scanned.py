@@ -262,6 +262,10 @@ def test_scans_belong_to_images_of_their_time(tmp_path: Path) -> None:
     assert "1 of 2 frames were left out; the first, 1700000002.00" in scans.left_out[0]
     with pytest.raises(MissingFileError, match="no complete frame"):
         OwnScans(images, rig, tmp_path, tolerance=0.001)
+    some = {name: {} for name in ("1700000000.02", "1700000003.00")}  # one at the very time
+    assert OwnScans(some, rig, tmp_path).names == list(some)
+    (tmp_path / "1700000003.00.npy").rename(tmp_path / "left.pcd.bin")
+    assert OwnScans({"left": {}}, rig, tmp_path).names == ["left"]
 
 
 @pytest.mark.parametrize(

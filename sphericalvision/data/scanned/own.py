@@ -59,16 +59,21 @@ class OwnScans(ScannedFrames):
         self.rig_from_scanner = torch.eye(4) if rig_from_scanner is None else rig_from_scanner
         self.columns = columns
         files = sorted(path for path in self.root.iterdir() if not path.name.startswith("."))
-        scans = {path.stem: path for path in files if path.suffix in POINT_SUFFIXES}
+        scans = {
+            path.name.removesuffix(path.suffix).removesuffix(".pcd"): path
+            for path in files
+            if path.suffix in POINT_SUFFIXES
+        }
         if not scans:
             raise MissingFileError(
                 f"points: {self.root.absolute()} holds no {', '.join(POINT_SUFFIXES)}; expected a scan for each frame"
             )
         matches = {name: name for name in images if name in scans}
-        if not matches and not are_counts(list(images)) and not are_counts(list(scans)):
+        if not are_counts(list(images)) and not are_counts(list(scans)):
             nearest = nearest_in_time(seconds(list(images)), seconds(list(scans)), tolerance)
             stems = list(scans)
-            matches = {n: stems[at] for n, at in zip(images, nearest, strict=True) if at is not None}
+            in_time = {n: stems[at] for n, at in zip(images, nearest, strict=True) if at is not None}
+            matches = in_time | matches
         lacking = {name: "a scan of its name or time" for name in images if name not in matches}
         where = f"a scan for each frame, called as it, or at a time at most {tolerance:g} s away"
         self.names = self.complete(list(images), lacking, where)

@@ -27,12 +27,13 @@ from sphericalvision.cameras.calibration.lenses import (
     lens_of,
     models_of,
     numbers_of,
+    refuse_mask_of_another,
 )
 from sphericalvision.cameras.calibration.parsing import size_from_width_height
 from sphericalvision.cameras.calibration.poses import quaternion_from_rotation, transform_from_numbers
 from sphericalvision.cameras.calibration.text_files import write_json
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import ArgumentError, FileFormatError
+from sphericalvision.core import FileFormatError
 from sphericalvision.io.images import read_mask, write_mask
 
 __all__ = ["contents", "write_basalt"]
@@ -98,11 +99,7 @@ def write_basalt(cameras: Camera | CameraRig, path: str | Path) -> None:
     path = Path(path)
     rig = as_rig(cameras)
     for index, name in enumerate(rig.names):
-        other = path.parent / f"cam{index}" / "mask.png"
-        if name not in rig.masks and other.is_file():
-            raise ArgumentError(
-                f"path: {other} would be taken for the mask of {name}, which has none; remove it, or write elsewhere"
-            )
+        refuse_mask_of_another(path.parent / f"cam{index}" / "mask.png", name, rig)
     value0: dict[str, list[Any]] = {"T_imu_cam": [], "intrinsics": [], "resolution": []}
     for camera, pose in zip(rig.cameras.values(), rig.world_from_camera, strict=True):
         lens, parameters = lens_of(camera, _LENSES, "basalt")

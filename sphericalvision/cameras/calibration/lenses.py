@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -37,6 +38,7 @@ __all__ = [
     "lens_of",
     "models_of",
     "numbers_of",
+    "refuse_mask_of_another",
 ]
 
 _WITH_SKEW = ("native", "opencv")
@@ -261,6 +263,14 @@ def check_holds(format: str, camera: Camera) -> None:
         raise ArgumentError(
             f"camera: the format {format!r} has no skew; write it as {' or '.join(map(repr, formats))}, or convert "
             'the camera to OCam, whose affine map holds one: convert(camera, to="ocam")'
+        )
+
+
+def refuse_mask_of_another(path: Path, name: str, rig: CameraRig) -> None:
+    """Raise ``ArgumentError`` if a camera has no mask and ``path`` would be taken for it."""
+    if name not in rig.masks and path.is_file():
+        raise ArgumentError(
+            f"path: {path} would be taken for the mask of {name}, which has none; remove it, or write elsewhere"
         )
 
 

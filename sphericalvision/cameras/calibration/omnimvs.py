@@ -19,6 +19,7 @@ from sphericalvision.cameras.base import check_single
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import Keys
+from sphericalvision.cameras.calibration.lenses import refuse_mask_of_another
 from sphericalvision.cameras.calibration.ocam_text import make_ocam, ocam_numbers
 from sphericalvision.cameras.calibration.poses import axis_angle_from_rotation
 from sphericalvision.cameras.models.ocam import OCamCamera
@@ -83,15 +84,18 @@ def write_omnimvs(rig: CameraRig, path: str | Path) -> None:
     ``cam7`` gets the ``cam_id`` 7; with other names cameras are numbered from 1.
 
     Raises:
-        ArgumentError: a camera is of another model, or has no inverse polynomial.
+        ArgumentError: a camera is of another model, has no inverse polynomial, or has no mask where a file would be
+            taken for it.
     """
     check_single(rig)
     path = Path(path)
     numbered = all(re.fullmatch(r"cam\d+", name) for name in rig.names)
+    ids = [int(name[3:]) if numbered else place for place, name in enumerate(rig.names, start=1)]
+    for cam_id, name in zip(ids, rig.names, strict=True):
+        refuse_mask_of_another(path.with_name(f"mask{cam_id}.png"), name, rig)
     entries = []
     poses = rig.world_from_camera.detach().cpu().double()
-    for place, (name, camera) in enumerate(rig.cameras.items(), start=1):
-        cam_id = int(name[3:]) if numbered else place
+    for cam_id, pose, (name, camera) in zip(ids, poses, rig.cameras.items(), strict=True):
         values = ocam_numbers(camera, "omnimvs")
         entries.append(
             {
@@ -103,10 +107,10 @@ def write_omnimvs(rig: CameraRig, path: str | Path) -> None:
                 "center": values["center"],
                 "affine": values["affine"],
                 "image_size": values["size"],
-                **({"invalid_mask": f"mask{cam_id}.png"} if name in rig.masks else {}),
+                "invalid_mask": f"mask{cam_id}.png",  # OmniMVS asks for it in any case
                 "pose": [
-                    *axis_angle_from_rotation(poses[place - 1, :3, :3]),
-                    *poses[place - 1, :3, 3].tolist(),
+                    *axis_angle_from_rotation(pose[:3, :3]),
+                    *pose[:3, 3].tolist(),
                 ],
                 "max_fov": math.degrees(2 * float(camera.max_angle)),
             }

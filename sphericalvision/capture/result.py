@@ -14,8 +14,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras import Camera, CameraRig
+from sphericalvision.cameras.checks import check_rigid
 from sphericalvision.capture.preparation.preparation import Compensation, Correction
-from sphericalvision.core import ArgumentError, full_precision
+from sphericalvision.core import ArgumentError, ShapeError, check_tensor, check_type, full_precision
 from sphericalvision.geometry.lookup import weighted_sums
 from sphericalvision.geometry.surfaces import distance_along
 from sphericalvision.icosphere import Icosphere, locate
@@ -187,14 +188,15 @@ class Depth:
 
         Args:
             camera: the name of one of the rig's cameras, which stands where it stands; or any camera.
-            world_from_camera: pose of such a camera, as seen from the rig's ``origin``; at the rig's centre, looking
-                forward, when not given.
+            world_from_camera: pose ``(4, 4)`` of a camera that has no name, as seen from the rig's ``origin``; at the
+                rig's centre, looking forward, when not given.
 
         Returns:
             Metres from the camera, ``(*b, h, w)``; NaN where it does not look or meets nothing.
 
         Raises:
-            ArgumentError: the rig has no camera of this name.
+            ArgumentError: the rig has no camera of this name, or that has a pose, too; a pose that is not rigid.
+            ShapeError: a pose of another shape.
 
         Examples:
             >>> from sphericalvision.cameras import PinholeCamera, ring_rig
@@ -206,7 +208,20 @@ class Depth:
             >>> around.camera(view).depth[1, 1]  # a ball of 1.1 m around the rig
             tensor(1.1000)
         """
+        check_type("camera", camera, (str, Camera))
+        if world_from_camera is not None:
+            check_tensor("world_from_camera", world_from_camera, "(4, 4)")
+            if tuple(world_from_camera.shape) != (4, 4):
+                raise ShapeError(
+                    f"world_from_camera: expected shape (4, 4), got {tuple(world_from_camera.shape)}"
+                )
+            check_rigid("world_from_camera", world_from_camera.detach().double())
         if isinstance(camera, str):
+            if world_from_camera is not None:
+                raise ArgumentError(
+                    f"world_from_camera: {camera!r} stands where it stands; for another pose give the camera itself, "
+                    f"rig.cameras[{camera!r}]"
+                )
             if camera not in self.rig.cameras:
                 raise ArgumentError(
                     f"camera: expected a name among {', '.join(self.rig.names)}, got {camera!r}"

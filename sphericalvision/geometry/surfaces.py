@@ -54,9 +54,8 @@ def distance_along(
     steps = 1 / torch.linspace(1 / nearest, 1 / (FARTHEST * min_depth), STEPS, dtype=torch.float64)
     steps = torch.cat((steps.new_zeros(1), steps)).to(rays)
     waiting = torch.arange(len(rays), device=rays.device)
-    in_front = torch.ones_like(
-        waiting, dtype=torch.bool
-    )  # rays of a rig's camera begin before the nearest surface
+    # Rays of a rig's camera begin in front of the surface; others may begin behind it.
+    in_front = ~(front_of(steps[:1, None].expand(-1, len(waiting)), waiting)[0] < 0)
     low, high = rays.new_full((2, len(rays)), math.nan)
     first = 1
     while first < len(steps) and len(waiting):

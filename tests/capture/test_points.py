@@ -150,3 +150,16 @@ def test_a_ray_from_off_the_centre_meets_what_is_nearer_to_it_than_the_nearest_d
         return torch.where((angle > ends[0]) & (angle < ends[1]), 1.0, 0.05)
 
     assert 0.59 < distance_along(ray, start, surface, min_depth=1.0) < 0.71
+
+
+def test_a_ray_that_begins_behind_the_surface_meets_nothing_before_it_is_in_front() -> None:
+    """Outside of a ball of 2 m: rays away from it, and through it to its other side."""
+    start, rays = (
+        torch.tensor([0.0, 0.0, -2.2]),
+        torch.tensor([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
+    )
+    distance = distance_along(
+        rays, start, lambda directions: torch.full_like(directions[:, 0], 0.5), min_depth=1.0
+    )
+    assert distance[:2].isnan().all()
+    assert distance[2].item() == pytest.approx(4.2, rel=1e-3)

@@ -25,7 +25,7 @@ from sphericalvision.capture import predictor as predictor_module
 from sphericalvision.capture.export import RigProgram
 from sphericalvision.capture.preparation.nearest import frames_of
 from sphericalvision.capture.preparation.preparation import Preparation
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.data import ToSphere
 from sphericalvision.models import (
     DepthNetwork,
@@ -308,6 +308,12 @@ def test_panorama_and_cameras_show_the_surface(rig: CameraRig, images: Images) -
         assert not view.seen[~looks].any()
     with pytest.raises(ArgumentError, match="cam9"):
         depth.camera("cam9")
+    with pytest.raises(ArgumentError, match="world_from_camera: 'cam2' stands where it stands"):
+        depth.camera("cam2", pose)
+    with pytest.raises(ArgumentError, match="world_from_camera: expected rotations"):
+        depth.camera(pinhole, torch.diag(torch.tensor([1000.0, 1000.0, 1000.0, 1.0])))
+    with pytest.raises(ShapeError, match="world_from_camera: expected shape"):
+        depth.camera(pinhole, pose[:3])
 
 
 def test_a_camera_sees_depth_around_a_rig_that_stands_anywhere() -> None:

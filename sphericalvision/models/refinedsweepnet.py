@@ -224,7 +224,9 @@ class RefinedSweepNet(DepthNetwork):
         rig = rig.to(self.device)
         sweep = semi_global_tables(rig, self.inner_hypotheses, self.min_depth, self.coarse_level + 1)
         seen = sweep.seen if self.level == self.coarse_level + 1 else seen_in_view(rig, self.level)
-        return RefinedTables(sweep, self.prior.tables(rig), _offsets(rig), seen.to(sweep.seen.device))
+        return RefinedTables(
+            sweep, self.prior.tables(rig), _offsets(rig).to(self.up), seen.to(sweep.seen.device)
+        )
 
     def _estimate(
         self, images: Tensor, rig: CameraRig | RefinedTables, seen: Tensor | None, hint: DepthHint | None

@@ -130,7 +130,7 @@ def point_colors(
         colors = camera.interpolate(images[name].to(points), projection.pixels[index][which])
         ray = points[which] - rig.positions[index]
         forward = (ray @ rig.axes[index] / ray.norm(dim=-1) + 1) / 2
-        weight = forward.clamp(min=0.05) ** 8  # what is behind a panorama's axis counts, too
+        weight = (forward.clamp(min=0.05) ** 8).to(total)  # what is behind a panorama's axis counts, too
         total = total.index_add(1, which, weight * colors)
         weights = weights.index_add(0, which, weight)
     return total / weights.clamp(min=1e-12), weights > 0

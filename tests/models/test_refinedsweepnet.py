@@ -385,6 +385,12 @@ def test_hints_of_numpy_are_those_in_single_precision(net, frame):
     torch.testing.assert_close(found, net.predict(images, rig, seen, hint), rtol=0, atol=0)
 
 
+def test_rigs_in_double_precision_are_taken(net, frame):
+    images, rig, seen, _ = frame
+    found = net.predict(images, rig.to(torch.float64), seen)
+    torch.testing.assert_close(found.index, net.predict(images, rig, seen).index, rtol=0, atol=1e-2)
+
+
 def test_tables_of_another_level_are_refused(net, frame):
     images, rig, seen, _ = frame
     with pytest.raises(ShapeError, match="rig: expected tables for images of"):

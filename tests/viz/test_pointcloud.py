@@ -33,6 +33,7 @@ def test_cameras_count_by_the_eighth_power_of_how_far_forward_they_look() -> Non
     point = 3 * torch.stack((angle.sin(), 0 * angle, angle.cos()))[None]
     images = {"cam1": torch.ones(1, 33, 33), "cam2": torch.zeros(1, 33, 33)}
     first, second = ((1 + cosine) ** 8 for cosine in (angle.cos(), angle.sin()))
-    colors, seen = point_colors(rig, images, point)
-    assert seen.all()
-    torch.testing.assert_close(colors[0, 0], first / (first + second))
+    for given in (rig, rig.to(torch.float64)):
+        colors, seen = point_colors(given, images, point)
+        assert seen.all()
+        torch.testing.assert_close(colors[0, 0], first / (first + second))

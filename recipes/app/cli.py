@@ -30,7 +30,7 @@ __all__ = [
     "say",
 ]
 
-console = Console()
+console = Console(markup=False)  # brackets in names are no styles
 
 
 def build(config: Any, where: str = "", **kwargs: Any) -> Any:

@@ -239,7 +239,7 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
     many = "live" if names is None else f"{len(names)} frame(s)"
     cameras = "cameras" if config.capture.poses is None else "images in a window"
     radius = float(source.rig.radius)
-    console.print(f"{many}, {len(source.rig)} {cameras}, rig radius {radius:.3f} m", markup=False)
+    console.print(f"{many}, {len(source.rig)} {cameras}, rig radius {radius:.3f} m")
     still = source.source if isinstance(source, Moving) else source  # whose frames are made ready once
     if config.capture.masks == AUTO:
         still.rig = masked_by_itself(still, folder)
@@ -268,7 +268,7 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
     print_config(config, folder)
     near = "found in the first frame" if predictor.min_depth is None else f"{predictor.min_depth:.3f} m"
     weights = f", weights {config.checkpoint or DEFAULT}" if config.method == "network" else ""
-    console.print(f"nearest hypothesis {near}{weights}", markup=False)
+    console.print(f"nearest hypothesis {near}{weights}")
     kinds = config.outputs or (("depth", "cloud", "npz") if source.rate == 0 else ("video",))
     settings = Settings(
         list(kinds),

@@ -19,7 +19,7 @@ from typing_extensions import TypedDict
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.images import write_image
-from sphericalvision.recipes.app.cli import choose_device, console, print_config
+from sphericalvision.recipes.app.cli import choose_device, print_config, say
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Number, OnlyWith, Positive, Size, Text
 from sphericalvision.recipes.evaluation.loop import evaluate
 from sphericalvision.recipes.evaluation.pictures import DrawnFrame, frames_sheet
@@ -108,7 +108,7 @@ def study(config: DictConfig, folder: Path) -> Results:
     print_config(config, folder)
     notes = check_alike(trainings)
     for note in notes:
-        console.print(f"[yellow]not the same for all:[/] {note}", highlight=False)
+        say(f"not the same for all: {note}", style="yellow")
     train_all(config, trainings)
     methods = [method for model in models for method in methods_of(model, config, trainings)]
     if not methods:

@@ -9,8 +9,10 @@ from pathlib import Path
 
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import OmegaConf
 
 from sphericalvision.recipes import predict
+from sphericalvision.recipes.app.cli import print_config, print_table
 from sphericalvision.recipes.app.words import quote_paths, unquote_paths
 from tests.recipes.tiny import TINY_SCENES, Run
 
@@ -32,6 +34,14 @@ def test_file_names_reach_the_config_unchanged(path: str) -> None:
     (word,) = quote_paths([f"data.root={path}"])
     assert OverridesParser.create().parse_override(word).value() == path
     assert unquote_paths([word]) == [f"data.root={path}"]
+
+
+@pytest.mark.parametrize("path", ["runs/[night]/x.png", "runs [/old]/x.png"])
+def test_file_names_are_printed_unchanged(path: str, capsys: pytest.CaptureFixture[str]) -> None:
+    print_config(OmegaConf.create({"images": path}))
+    assert f"images: {path}\n" in capsys.readouterr().out
+    print_table("pictures", ["picture"], [[path]])
+    assert f" {path} " in capsys.readouterr().out
 
 
 def test_words_that_are_no_file_names_stay() -> None:

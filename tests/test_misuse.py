@@ -302,6 +302,7 @@ pretrained('resnet') -> name: refinedsweepnet
 depth_index_huber(np.zeros((1, 5)), torch.zeros(1, 5)) -> pred_index: numpy
 depth_index_huber(torch.zeros(1, 5), torch.zeros(1, 5), delta=-1.0) -> delta: -1.0
 solid_angle_mean(np.zeros((1, 162)), ico().solid_angles) -> values: numpy
+solid_angle_mean(LABELS, ico().solid_angles) -> values: int64
 DepthIndexError(8).update(np.zeros((1, 3)), torch.zeros(1, 3)) -> pred: numpy
 DepthError().update(torch.ones(1, 3), np.ones((1, 3))) -> target: numpy
 SolidAngleMean(3) -> grid: SphereGrid, got 3

@@ -8,7 +8,8 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float, Num
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError, check_tensor
+from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_tensor
+from sphericalvision.geometry.directions import in_single_precision
 
 __all__ = ["depth_index_huber", "mean_of_samples", "solid_angle_mean"]
 
@@ -28,11 +29,13 @@ def depth_index_huber(
         mask: ``(B, V)``, True where the ground truth counts; everywhere when not given. Values outside the mask
             have no influence, NaN included.
         delta: index difference at which the loss turns from quadratic to linear.
-        weights: ``(V,)`` or ``(B, V)``, for instance the solid angles of a grid; equal when not given.
+        weights: ``(V,)`` or ``(B, V)``, for instance the solid angles of a grid; equal when not given. All may be of
+            any grid, ``(B, h, w)`` and ``(h, w)``.
 
     Returns:
-        A scalar, the mean of what each sample has alone: as with ``accumulate_grad_batches``, a sample with few known
-        points counts as much as one with many. A sample with an empty mask has 0, with zero gradients.
+        A scalar in float32 at least, the mean of what each sample has alone: as with ``accumulate_grad_batches``, a
+        sample with few known points counts as much as one with many. A sample with an empty mask has 0, with zero
+        gradients.
 
     Raises:
         ShapeError: if the shapes differ.
@@ -55,13 +58,16 @@ def depth_index_huber(
         )
     if mask is not None and mask.shape != pred_index.shape:
         raise ShapeError(f"mask: expected shape {tuple(pred_index.shape)}, got {tuple(mask.shape)}")
+    pred_index, target_index = in_single_precision(pred_index), in_single_precision(target_index)
     if mask is not None:
         mask = mask.bool()
         pred_index, target_index = pred_index.where(mask, 0), target_index.where(mask, 0)
     losses = F.huber_loss(pred_index, target_index, delta=delta, reduction="none")
     if weights is not None:
-        if weights.shape not in (pred_index.shape, pred_index.shape[-1:]):
-            raise ShapeError(f"weights: expected shape ({pred_index.shape[-1]},), got {tuple(weights.shape)}")
+        if weights.shape not in (pred_index.shape, pred_index.shape[1:]):
+            raise ShapeError(
+                f"weights: expected shape {tuple(pred_index.shape[1:])}, got {tuple(weights.shape)}"
+            )
         shares = weights.to(losses).expand_as(losses)
     else:
         shares = torch.ones_like(losses)
@@ -100,10 +106,11 @@ def solid_angle_mean(
             influence, and get no gradient, NaN included.
 
     Returns:
-        ``(*b)``; 0, with zero gradients, where the mask is empty.
+        ``(*b)`` in float32 at least; 0, with zero gradients, where the mask is empty.
 
     Raises:
         ShapeError: if the values do not lie on the grid, or the mask does not fit them.
+        ArgumentError: if the values are integers.
 
     Examples:
         >>> from sphericalvision.sphere import Equirectangular
@@ -114,6 +121,8 @@ def solid_angle_mean(
     """
     check_tensor("values", values, "(*b, *shape)")
     check_tensor("solid_angles", solid_angles, "(*shape)")
+    check_floating("values", values)
+    values = in_single_precision(values)
     dims = solid_angles.ndim
     if values.ndim < dims or values.shape[values.ndim - dims :] != solid_angles.shape:
         size = ", ".join(map(str, solid_angles.shape))

@@ -137,6 +137,11 @@ class _SphereAugmentation(nn.Module):
     def _applied(self, data: Any, params: Parameters) -> Any:
         if isinstance(data, Tensor):
             return self._entry("input", data, "image", params)
+        if left := [key for key in data if key.startswith("panorama") and key not in self.kinds]:
+            raise ArgumentError(
+                f"sample: {', '.join(left)} would stay as they are while the rig is turned; leave them out, or turn "
+                "the sample by RotateFivefold"
+            )
         turned = {
             key: self._entry(key, value, self.kinds[key], params) if key in self.kinds else value
             for key, value in data.items()

@@ -11,7 +11,7 @@ import shlex
 from collections.abc import Callable, Sequence
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from hydra import compose
 from hydra._internal.utils import get_args_parser  # its flags have no public place
@@ -136,6 +136,20 @@ def resume_command(last: Path, max_steps: int | None = None) -> str:
     return shlex.join(["sphericalvision-train", *words])
 
 
+def _without_spaces(value: Any) -> str:
+    """A number, a list or nothing as Hydra reads it; texts in a list are quoted.
+
+    Examples:
+        >>> _without_spaces(["a b", 3, None]), _without_spaces(None)
+        ("['a b',3,null]", 'null')
+    """
+    if isinstance(value, str):
+        return "'" + value.replace("'", "\\'") + "'"
+    if OmegaConf.is_list(value) or isinstance(value, list):
+        return f"[{','.join(map(_without_spaces, value))}]"
+    return str(value).replace(" ", "").replace("None", "null")
+
+
 def own_configs() -> list[str]:
     """The flag ``--config-dir`` of this run, if it has one."""
     sources = HydraConfig.get().runtime.config_sources
@@ -149,7 +163,7 @@ def evaluate_command(best: Path, config: DictConfig, of_training: Sequence[str])
     usual = compose("evaluate", groups)
     names = {group: set(usual[group]) for group in ("rig", "data")}  # "in" says no to keys that lack a value
     changes = [
-        f"{group}.{key}={value}".replace(" ", "").replace("None", "null")
+        f"{group}.{key}={value if isinstance(value, str) else _without_spaces(value)}"
         for group, keys in names.items()
         for key, value in config[group].items()
         if key in keys and key != "rig" and (group == "rig" or key not in of_training)

@@ -141,7 +141,7 @@ def test_published_sets_are_trained_and_evaluated_by_the_commands(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    root = write(tmp_path / "set")
+    root = write(tmp_path / "None of it")
     name = write.__name__.removeprefix("write_")
     named = [f"data.{split}={splits[0]}" for split in ("train", "val", "test") if splits]
     words = (

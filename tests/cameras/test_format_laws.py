@@ -115,7 +115,8 @@ def test_a_rig_is_read_back_as_written(tmp_path: Path, format: FileFormat, turn:
     cameras = [lens.make(s).to(torch.float64) for s in (1.0, 1.1)]
     mask = torch.rand(cameras[0].image_size, generator=torch.Generator().manual_seed(0)) > 0.5
     rig = CameraRig(cameras, poses, {"cam2": mask} if format.holds_masks else None)
-    path = tmp_path / PATHS.get(format.name, "rig.yaml") if format.name != "asl" else tmp_path
+    folder = tmp_path / "new" / "folder"
+    path = folder / PATHS.get(format.name, "rig.yaml") if format.name != "asl" else folder
     save_rig(rig, path, format.name)
     again = read_rig(path, max_angle=0.7, dtype=torch.float64)
     assert len(again) == 2

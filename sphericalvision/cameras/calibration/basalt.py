@@ -116,9 +116,7 @@ def write_basalt(cameras: Camera | CameraRig, path: str | Path) -> None:
         )
     for index, name in enumerate(rig.names):
         if name in rig.masks:
-            folder = path.parent / f"cam{index}"
-            folder.mkdir(exist_ok=True)
-            write_mask(folder / "mask.png", rig.masks[name])
+            write_mask(path.parent / f"cam{index}" / "mask.png", rig.masks[name])
     write_json(path, {"value0": value0})
 
 

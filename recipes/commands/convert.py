@@ -107,6 +107,8 @@ def _compare(
     names = list(calibration.cameras if isinstance(calibration, CameraRig) else calibration)
     if not set(names) <= set(others) and len(names) == len(others):
         # Files of other programs call cameras otherwise: their order counts.
+        pairs = ", ".join(f"{name} with {other}" for name, other in zip(names, others, strict=True))
+        console.print(f"By their order: {pairs}.", soft_wrap=True)
         others = dict(zip(names, others.values(), strict=True))
     if lacking := [name for name in cameras if name not in others]:
         raise ArgumentError(

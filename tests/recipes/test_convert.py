@@ -176,7 +176,8 @@ def test_two_calibrations_are_compared_by_the_angle_from_the_axis(
     assert 0.5 * at_60 < rows[6][1] < at_60
     assert all(0 <= row[3] <= row[4] < 3 for row in rows)
     assert "right" in printed
-    assert "left " not in printed.split("Poses")[0]
+    assert "By their order: front with cam1, right with cam2, " in printed
+    assert "left: " not in printed.split("Poses")[0]
     assert "14.14" in printed.split("Poses")[1]  # 10 mm outwards, as seen from another that moved as much
     names = read_rig(calibration).names
     CameraRig(dict.fromkeys(names, wider), poses).subset(names[::-1]).to_yaml(

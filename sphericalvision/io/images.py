@@ -18,7 +18,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.core import FileFormatError, ShapeError, check_choice, check_file
+from sphericalvision.core import ArgumentError, FileFormatError, ShapeError, check_choice, check_file
 from sphericalvision.io.files import write_bytes
 
 __all__ = [
@@ -238,9 +238,12 @@ def write_mask(path: str | Path, mask: Bool[Tensor, "h w"]) -> None:
     """Write a mask ``(h, w)`` as an image, white where it is True.
 
     Raises:
+        ArgumentError: the mask is of another type than bool.
         FileFormatError: the suffix names no format.
         OSError: the file cannot be written.
     """
+    if mask.dtype != torch.bool:
+        raise ArgumentError(f"mask: expected bool, got {mask.dtype}; mask > 0 makes one")
     write_pages(path, [mask.to("cpu", torch.uint8).numpy() * 255])
 
 

@@ -14,7 +14,7 @@ import pytest
 import torch
 from PIL import Image
 
-from sphericalvision.core import FileFormatError, MissingFileError, ShapeError
+from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, ShapeError
 from sphericalvision.io.images import (
     read_image,
     read_image_size,
@@ -92,6 +92,8 @@ def test_errors_name_file_cause_and_remedy(tmp_path: Path) -> None:
         write_image(tmp_path / "a.png", torch.zeros(4, 6))
     with pytest.raises(FileFormatError, match=r"a\.nonsense"):
         write_image(tmp_path / "a.nonsense", torch.zeros(1, 4, 6))
+    with pytest.raises(ArgumentError, match=r"mask: expected bool, got torch.uint8; mask > 0"):
+        write_mask(tmp_path / "a.png", torch.full((4, 6), 255, dtype=torch.uint8))
     for channels in (2, 4):  # OpenCV would take the last of four for blue, as the order is turned
         page = np.zeros((4, 6, channels), np.uint8)
         with pytest.raises(ShapeError, match=rf"image: expected .* got uint8 \(4, 6, {channels}\)"):

@@ -82,6 +82,20 @@ def test_a_camera_has_the_same_files_whether_all_are_used_or_some(
             assert files(list(some)) == {name: whole[name] for name in some}
 
 
+def test_what_is_wrong_with_the_layout_of_a_folder_is_told(tmp_path: Path) -> None:
+    """And not that there is no layout."""
+    rig = ring_rig(2, image_size=(16, 16))
+    for name, time in {"cam1": "1700000000.00", "cam2": "1700000000.05"}.items():
+        write_image(tmp_path / f"times/{name}/{time}.png", torch.zeros(3, 16, 16))
+        write_image(tmp_path / f"numbers/{name}/1.png", torch.zeros(3, 16, 16))
+    with pytest.raises(MissingFileError, match=r"those of cam1 and cam2 are 50 ms apart or more; tolerance="):
+        open_source(str(tmp_path / "times"), rig)
+    with pytest.raises(
+        MissingFileError, match=r"no such file, frame 9 of camera cam1; its first frames are 1\."
+    ):
+        open_source(str(tmp_path / "numbers"), rig, [9])
+
+
 def test_files_of_some_cameras_alone_have_to_be_whose_they_are(tmp_path: Path) -> None:
     root = touch(tmp_path, "1/1.png", "2/1.png")
     labels = find_labels(root + "/{camera}/{frame}.png", ["front", "left", "rear"], ["front", "left"])

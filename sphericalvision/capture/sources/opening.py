@@ -132,6 +132,7 @@ def _of_folder(
     files = (file for file in (*folder.glob("*"), *folder.glob("*/*")) if not file.name.startswith("."))
     suffixes = sorted({file.suffix for file in files if file.is_file()})
     excluded = list(leave_out)
+    wrong: Exception | None = None  # of the first layout that there is
     for suffix in suffixes:
         if suffix.lower() in VIDEO_SUFFIXES:
             alone = [file for file in folder.glob(f"[!.]*{suffix}") if file.is_file()]
@@ -149,13 +150,27 @@ def _of_folder(
                     return open_source(
                         f"{folder}/{stem}{suffix}", rig, frames, excluded, used.names, tolerance
                     )
-                except (MissingFileError, ArgumentError):
-                    continue
+                except (MissingFileError, ArgumentError) as error:
+                    if wrong is None and _is_layout(f"{folder}/{stem}{suffix}", rig, used, excluded):
+                        wrong = error
+    if wrong is not None:
+        raise wrong
     raise MissingFileError(
         f"images: {folder} holds no images or videos of all {len(rig)} cameras ({', '.join(rig.names)}); tried "
         f"{', '.join(STEMS)} with the suffixes {', '.join(suffixes) or '(no files)'}. Give a pattern, "
         f"images='{folder}/cam{{camera}}/{{frame}}.png'"
     )
+
+
+def _is_layout(pattern: str, rig: CameraRig, used: CameraRig, leave_out: Iterable[Path]) -> bool:
+    """Whether a pattern with ``{camera}`` has files of every camera, or of cameras of which it is not clear."""
+    try:
+        find_labels(pattern, rig.names, used.names, leave_out)
+    except MissingFileError:
+        return False
+    except ArgumentError:
+        return "{camera}" in pattern
+    return True
 
 
 def _devices(images: str, rig: CameraRig) -> dict[str, Path | int]:

@@ -130,6 +130,11 @@ def test_images_of_colmap_come_in_the_order_of_their_names(file: str, tmp_path: 
     read = read_trajectory(tmp_path / "sparse")
     assert list(read.names) == [f"frame{number}" for number in (*range(9), "009", 10, 11)]
     torch.testing.assert_close(read.world_from_camera[11], way()[0], atol=1e-6, rtol=0)
+    if file != "cameras.bin":
+        renamed = tmp_path / "renamed.txt"
+        renamed.write_text((tmp_path / "sparse" / "images.txt").read_text())
+        assert "CAMERA_ID" in renamed.read_text()  # in a comment that is no header of a table
+        assert read_trajectory(renamed).names == read.names
     other = "images.txt" if file.endswith("bin") else "cameras.bin"
     save_rig(CameraRig(dict.fromkeys(names, CAMERA), way()), tmp_path / "sparse" / other, "colmap")
     assert read_trajectory(tmp_path / "sparse").names == read.names

@@ -180,7 +180,8 @@ def _columns(line: str) -> list[str] | None:
     if not all(names.count(name) == 1 for name in COLUMNS[1:]):
         return None
     if not any(name in names for name in _TIMES):  # ts, frame, or whatever it is called by
-        names = ["time", *names[1:]] if names[0] not in COLUMNS else []
+        is_other = names[0] in COLUMNS or "CAMERA_ID" in names  # COLMAP's comment on its own columns
+        names = [] if is_other else ["time", *names[1:]]
     return names or None
 
 

@@ -178,6 +178,11 @@ def test_frames_that_do_not_fit_the_rig_are_refused(tmp_path: Path, rig: CameraR
         write_omnistereo(tmp_path, [sample], rig)
     with pytest.raises(ArgumentError, match="frame: expected a number"):
         write_omnistereo(tmp_path, [{**frames(1)[0], "frame": "first"}], rig)
+    with pytest.raises(ArgumentError, match="frame 1: its rig has other cameras or poses"):
+        write_omnistereo(tmp_path, [{**frames(1)[0], "rig": rig.rotated(tilt=0.3)}], rig)
+    off_centre = CameraRig(rig.cameras, rig.world_from_camera, around=["cam1"])
+    with pytest.raises(ArgumentError, match="rig: its centre is between cam1, which files cannot say"):
+        write_omnistereo(tmp_path, frames(1), off_centre)
 
 
 def test_an_image_of_the_wrong_size_names_the_file(tmp_path: Path, rig: CameraRig, frames: Frames) -> None:

@@ -62,7 +62,7 @@ def write_omnistereo(
         root: folder, made if need be; it must not hold the other release.
         frames: samples as ``OmniStereoDataset`` gives them, consumed one by one: ``images`` (camera name ->
             float ``(3, h, w)`` in [0, 1]), ``inverse_depth`` ``(H, W)`` in 1/m, optionally ``valid``, and
-            ``frame``, a number or its digits.
+            ``frame``, a number or its digits; a ``rig`` in them has to be the one given.
         rig: its cameras become cam1, cam2, ... in their order.
         release: "png" (ocam*.txt, poses.txt in cm, 16-bit ground truth) or "tiff" (config.yaml, float
             ground truth).
@@ -73,7 +73,7 @@ def write_omnistereo(
 
     Raises:
         ArgumentError: ``root`` holds the other release or frames of another rig, a frame has other cameras than the
-            rig or is no number, or the PNG release cannot hold the cameras.
+            rig, or a rig of other poses, or is no number, or the release cannot hold the cameras or the rig's centre.
         FileFormatError: ``min_depth`` and the rig are a mixture of the published scales, which no reader
             may accept.
 
@@ -98,6 +98,11 @@ def write_omnistereo(
                 f"root: {root} holds a {other.name.upper()} release; write into another folder"
             )
     check_scale(root, layout, min_depth, float(rig.radius))
+    if not torch.allclose(rig.center, rig.positions.mean(-2), atol=1e-4):
+        raise ArgumentError(
+            f"rig: its centre is between {', '.join(rig.around or ())}, which files cannot say; expected that of all "
+            "cameras, around which inverse_depth of the frames has to be"
+        )
     stored = _stored_rig(rig, layout)
     _refuse_other_calibration(root, layout, stored, min_depth)
     has_calibration = (
@@ -121,9 +126,12 @@ def _write_frame(
         frame = int(sample["frame"])
     except ValueError:
         raise ArgumentError(f"frame: expected a number or its digits, got {sample['frame']!r}") from None
-    images = sample["images"]
+    images, own = sample["images"], sample.get("rig", rig)
     if set(images) != set(rig.names):
         raise ArgumentError(f"frame {frame}: expected images of {list(rig.names)}, got {list(images)}")
+    poses = own.world_from_camera.to(rig.world_from_camera)
+    if own.names != rig.names or not torch.allclose(poses, rig.world_from_camera, atol=1e-4):
+        raise ArgumentError(f"frame {frame}: its rig has other cameras or poses than the one given")
     for number, name in enumerate(rig.names, start=1):
         size = tuple(images[name].shape[-2:])
         if size != tuple(rig.cameras[name].image_size):

@@ -13,6 +13,8 @@ of them is read. Both are modules whose tables move with ``.to`` and are not sav
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Self
 
 import torch
 import torch.nn.functional as F
@@ -32,6 +34,7 @@ from sphericalvision.geometry.directions import broadcast_shapes, components, fr
 __all__ = [
     "ImageLookup",
     "Lookup",
+    "PlacesInSinglePrecision",
     "bilinear_sample",
     "taps_across_edges",
     "weighted_rows",
@@ -39,6 +42,7 @@ __all__ = [
     "wrap_panorama",
 ]
 
+HALF = (torch.float16, torch.bfloat16)
 _OUTSIDE = -9.0  # normalised coordinates so far out that grid_sample reads zeros there
 _MOST_PARTS = 8  # of the results of one image, to be worked on by different threads
 
@@ -119,7 +123,7 @@ def bilinear_sample(
         none = image.flatten(-2)[..., :0].expand(*batch, -1, -1)
         return none.reshape(*batch, image.shape[-3], pixels.shape[-2])
     flat_image = image.expand(*batch, *image.shape[-3:]).reshape(-1, *image.shape[-3:])
-    if image.dtype in (torch.float16, torch.bfloat16):  # whose places would be half a pixel off
+    if image.dtype in HALF:  # whose places would be half a pixel off
         flat_image = flat_image.float()
     # grid_sample(align_corners=False) puts the centre of pixel i at (2 i + 1) / size - 1.
     grid = ((2 * pixels + 1) / size - 1).to(flat_image.dtype).expand(*batch, *pixels.shape[-2:])
@@ -202,7 +206,24 @@ def weighted_sums(
     return sums.t().reshape(*values.shape[:-1], len(ids)).contiguous()
 
 
-class Lookup(nn.Module):
+class PlacesInSinglePrecision(nn.Module):
+    """A module whose tables say where things are: of a network that is cast to half precision they become float32.
+
+    Examples:
+        >>> middle = Lookup(torch.tensor([[0, 1]]), torch.full((1, 2), 0.5)).half()
+        >>> middle.weights.dtype
+        torch.float32
+    """
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
+        def exact(table: Tensor) -> Tensor:
+            cast = fn(table)
+            return table.to(cast.device, torch.float32) if cast.dtype in HALF else cast
+
+        return super()._apply(exact, recurse)
+
+
+class Lookup(PlacesInSinglePrecision):
     """Results that are weighted sums of k entries each, or one entry each, of any dtype.
 
     Args:
@@ -253,7 +274,7 @@ class Lookup(nn.Module):
         )
 
 
-class ImageLookup(nn.Module):
+class ImageLookup(PlacesInSinglePrecision):
     """Results that are means over m places each in an image, interpolated between pixels.
 
     Args:

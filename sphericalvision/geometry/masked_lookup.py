@@ -8,14 +8,14 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.geometry.lookup import Lookup
+from sphericalvision.geometry.lookup import Lookup, PlacesInSinglePrecision
 
 __all__ = ["LookupModule", "MaskedLookup"]
 
 _TOUCHED = 1e-3  # the least share of usable values in what a result is made of
 
 
-class MaskedLookup(nn.Module):
+class MaskedLookup(PlacesInSinglePrecision):
     """Means over the usable values that a lookup finds, ``fill`` where it finds too few.
 
     Args:

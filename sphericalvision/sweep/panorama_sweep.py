@@ -8,11 +8,12 @@ from typing import NamedTuple
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
-from torch import Tensor, nn
+from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.checks import check_image
 from sphericalvision.core import ArgumentError, ShapeError, check_type
+from sphericalvision.geometry.lookup import PlacesInSinglePrecision
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hypotheses
 
@@ -61,7 +62,7 @@ class PanoramaTables(NamedTuple):
         return self._replace(grid=grid, seen=self.seen.expand(batch, *self.seen.shape[-4:]).gather(2, chosen))
 
 
-class PanoramaSweep(nn.Module):
+class PanoramaSweep(PlacesInSinglePrecision):
     """Sweep concentric spheres, whose pixels are those of a panorama, through maps of the cameras' images.
 
     A pixel of direction d at inverse depth w is the point ``rig.center + d / w``. A camera at c sees it in the

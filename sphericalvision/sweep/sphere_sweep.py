@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_tensor
-from sphericalvision.geometry.lookup import weighted_rows
+from sphericalvision.geometry.lookup import PlacesInSinglePrecision, weighted_rows
 from sphericalvision.icosphere import icosphere_vertices, level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.topology import check_level, coarse_vertex_ids
 from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hypotheses
@@ -119,7 +119,7 @@ def _look_up(features: Tensor, tables: SweepTables) -> Tensor:
     return values.view(batch, *ids.shape[-4:-1], channels).permute(0, 3, 4, 1, 2)
 
 
-class SphereSweep(nn.Module):
+class SphereSweep(PlacesInSinglePrecision):
     """Sweep concentric icospheres around a rig through the cameras' icospheres.
 
     Args:

@@ -8,7 +8,7 @@ import math
 
 import pytest
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from sphericalvision.cameras import (
     EquirectangularCamera,
@@ -235,6 +235,17 @@ def test_half_precision_is_computed_in_single() -> None:
     assert result.dtype == torch.bfloat16
     exact = resample(image.double(), Equirectangular(8, 16), Cubemap(4))
     torch.testing.assert_close(result.double(), exact, rtol=0, atol=4e-3)
+
+
+@pytest.mark.parametrize("mode", ["bilinear", "area", "conservative"])
+@pytest.mark.parametrize("kind", [torch.float16, torch.bfloat16])
+def test_a_network_in_half_precision_looks_up_at_the_same_places(mode: str, kind: torch.dtype) -> None:
+    """Columns of a panorama are counted beyond what half precision can."""
+    wide, few = Equirectangular(8, 2048), Icosphere(2)
+    values = torch.rand(1, 3, 8, 2048).to(kind)
+    module = Resample(wide, few, mode=mode)
+    expected = module(values)
+    assert torch.equal(nn.Sequential(module).to(kind)(values), expected)
 
 
 def test_convention_remap_and_resample_are_called_alike() -> None:

@@ -12,7 +12,7 @@ from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.core import reference_kernels
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.icosphere import Icosphere, icosphere_vertices, locate
-from sphericalvision.sweep import SphereSweep, SweepTables, inverse_depth_hypotheses
+from sphericalvision.sweep import PanoramaSweep, SphereSweep, SweepTables, inverse_depth_hypotheses
 from sphericalvision.sweep.sweep_tables import sweep_tables
 
 DOUBLE = torch.float64
@@ -39,6 +39,16 @@ def test_in_view_by_angle(degrees: float, generator: torch.Generator) -> None:
     rays, axes = rays_of(sweep, rig), rig.axes.expand(5, 642, 3, 3)
     angles = torch.atan2(torch.linalg.cross(axes, rays).norm(dim=-1), (axes * rays).sum(-1))
     assert torch.equal(sweep.tables(rig).seen, angles <= rig.max_angles)
+
+
+def test_a_network_in_half_precision_sweeps_the_same_points() -> None:
+    rig = ring_rig(3, image_size=(64, 64))
+    exact, half = (SphereSweep(3, 5, 0.5).to(kind).tables(rig) for kind in (torch.float32, torch.float16))
+    torch.testing.assert_close(half, exact)
+    exact, half = (
+        PanoramaSweep((4, 8), 4, 0.5).to(kind).tables(rig) for kind in (torch.float32, torch.float16)
+    )
+    torch.testing.assert_close(half, exact)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, DOUBLE])

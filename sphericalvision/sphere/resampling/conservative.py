@@ -16,10 +16,11 @@ import math
 
 import torch
 from jaxtyping import Float, Int
-from torch import Tensor, nn
+from torch import Tensor
 
 from sphericalvision.cameras import Camera
 from sphericalvision.core import ArgumentError
+from sphericalvision.geometry.lookup import PlacesInSinglePrecision
 from sphericalvision.sphere.grids.sphere_grid import SphereGrid
 from sphericalvision.sphere.resampling.supersampling import cell_samples, cell_widths
 
@@ -34,7 +35,7 @@ _MOST_SAMPLES = 2**24
 _LARGEST_GAP = 1e-4  # between the total solid angles of two grids, relative
 
 
-class Overlaps(nn.Module):
+class Overlaps(PlacesInSinglePrecision):
     """Results that are sums over overlaps: values ``(*b, C, *source)`` to ``(*b, C, targets)``."""
 
     targets: Tensor

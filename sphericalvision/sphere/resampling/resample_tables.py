@@ -22,7 +22,7 @@ from sphericalvision.cameras.remapping.area import (
 )
 from sphericalvision.cameras.remapping.lookup import image_edges, nearest_pixel
 from sphericalvision.core import check_choice, check_tensor, check_type
-from sphericalvision.geometry.lookup import ImageLookup, Lookup
+from sphericalvision.geometry.lookup import ImageLookup, Lookup, PlacesInSinglePrecision
 from sphericalvision.geometry.masked_lookup import MaskedLookup
 from sphericalvision.sphere.grids.equirectangular import Equirectangular
 from sphericalvision.sphere.grids.sphere_grid import SphereGrid
@@ -243,7 +243,7 @@ class _GridImageLookup(nn.Module):
         return result
 
 
-class _DirectionLookup(nn.Module):
+class _DirectionLookup(PlacesInSinglePrecision):
     """``source.sample`` at directions (*g, n, s, 3): for grids that offer no tables."""
 
     directions: Tensor

@@ -131,10 +131,12 @@ def test_images_of_colmap_come_in_the_order_of_their_names(file: str, tmp_path: 
     assert list(read.names) == [f"frame{number}" for number in (*range(9), "009", 10, 11)]
     torch.testing.assert_close(read.world_from_camera[11], way()[0], atol=1e-6, rtol=0)
     if file != "cameras.bin":
-        renamed = tmp_path / "renamed.txt"
-        renamed.write_text((tmp_path / "sparse" / "images.txt").read_text())
-        assert "CAMERA_ID" in renamed.read_text()  # in a comment that is no header of a table
-        assert read_trajectory(renamed).names == read.names
+        comment = (
+            "#   IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n"  # COLMAP's, no header of a table
+        )
+        text = (tmp_path / "sparse" / "images.txt").read_text().split("\n", 1)[1]
+        (tmp_path / "renamed.txt").write_text(comment + text)
+        assert read_trajectory(tmp_path / "renamed.txt").names == read.names
     other = "images.txt" if file.endswith("bin") else "cameras.bin"
     save_rig(CameraRig(dict.fromkeys(names, CAMERA), way()), tmp_path / "sparse" / other, "colmap")
     assert read_trajectory(tmp_path / "sparse").names == read.names

@@ -45,7 +45,7 @@ from sphericalvision.recipes.app.kinds import (
     Text,
     Unit,
 )
-from sphericalvision.recipes.app.rigs import Calibration, keys_named
+from sphericalvision.recipes.app.rigs import Calibration, keys_named, names_of
 from sphericalvision.sphere.intake import as_photographs
 
 __all__ = [
@@ -100,10 +100,11 @@ class Capture(Calibration):
     def open(self) -> Source:
         """The frames, with their rig, in the size of the images and with its masks on (``AUTO`` is none yet)."""
         rig = self.rig()
+        cameras = None if self.cameras is None else names_of(self.cameras, rig)
         files: list[Path] = []
         if self.masks not in (None, AUTO):
-            rig, files = rig_with_masks(rig, self.masks, self.cameras)
-        source = open_source(self.images, rig, self.frames, files, self.cameras, self.tolerance)
+            rig, files = rig_with_masks(rig, self.masks, cameras)
+        source = open_source(self.images, rig, self.frames, files, cameras, self.tolerance)
         rig = source.rig
         print_labels(source)
         sizes = source.sizes()

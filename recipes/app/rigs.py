@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Literal
 
@@ -30,6 +30,7 @@ __all__ = [
     "make_corner_rig",
     "make_panorama_ring",
     "make_ring",
+    "names_of",
     "radians",
     "rig_from_file",
 ]
@@ -188,6 +189,22 @@ def keys_named(**keys: str) -> Iterator[None]:
         if argument == "image_size":
             raise ArgumentError(str(error).replace("(height, width)", "[height,width]")) from error
         raise
+
+
+def names_of(cameras: Sequence[str | int], rig: CameraRig) -> list[str]:
+    """Names of cameras of a rig as a configuration has them, where ``1`` is a number; no place in their order.
+
+    Raises:
+        ArgumentError: the rig has no such camera.
+
+    Examples:
+        >>> names_of(["cam2"], make_ring(2))
+        ['cam2']
+    """
+    names = [str(name) for name in cameras]
+    if unknown := [name for name in names if name not in rig.cameras]:
+        raise ArgumentError(f"cameras: expected names among {', '.join(rig.names)}, got {unknown[0]}")
+    return names
 
 
 def radians(degrees: float | None) -> float | None:

@@ -28,7 +28,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.io.files import atomic_write
 from sphericalvision.recipes.app.cli import print_config, say
 from sphericalvision.recipes.app.kinds import STRICT, Count, Positive, Text
-from sphericalvision.recipes.app.rigs import Calibration
+from sphericalvision.recipes.app.rigs import Calibration, names_of
 from sphericalvision.scenes import make_scene, render_rig
 
 __all__ = ["ExportConfig", "export"]
@@ -68,7 +68,7 @@ def export(config: ExportConfig, folder: Path) -> list[Path]:
         )
     rig = config.file.rig()
     if config.cameras is not None:
-        rig = rig.subset(list(config.cameras))
+        rig = rig.subset(names_of(config.cameras, rig))
     min_depth = None if config.min_depth == "auto" else config.min_depth
     predictor = Predictor(
         rig,

@@ -82,6 +82,23 @@ def test_a_camera_has_the_same_files_whether_all_are_used_or_some(
             assert files(list(some)) == {name: whole[name] for name in some}
 
 
+def test_cameras_are_named_by_numbers_and_have_no_place(tmp_path: Path) -> None:
+    rig = ring_rig(3, image_size=(16, 16))
+    rig = CameraRig(dict(zip("123", rig.cameras.values(), strict=True)), rig.world_from_camera)
+    save_rig(rig, tmp_path / "rig.yaml")
+    for name in rig.names:
+        write_image(tmp_path / f"{name}/0.png", torch.zeros(3, 16, 16))
+        write_image(tmp_path / f"masks/{name}.png", torch.ones(3, 16, 16))
+    keys: dict[str, Any] = {
+        "calibration": f"{tmp_path}/rig.yaml",
+        "images": f"{tmp_path}/{{camera}}/{{frame}}.png",
+    }
+    for masks in (None, f"{tmp_path}/masks/{{camera}}.png"):
+        assert Capture(**keys, cameras=[2, 1], masks=masks).open().rig.names == ["2", "1"]
+    with pytest.raises(ArgumentError, match="cameras: expected names among 1, 2, 3, got 0"):
+        Capture(**keys, cameras=[0, 1]).open()
+
+
 def test_what_is_wrong_with_the_layout_of_a_folder_is_told(tmp_path: Path) -> None:
     """And not that there is no layout."""
     rig = ring_rig(2, image_size=(16, 16))

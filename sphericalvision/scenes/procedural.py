@@ -105,14 +105,24 @@ def make_scene(
     return scene if device is None else scene.to(device)
 
 
-def exposed(scene: Scene, brightness: float, probes: int = 1000) -> Scene:
-    """The scene at the exposure at which the view from the origin has the given mean brightness on a display."""
+def exposed(
+    scene: Scene, brightness: float, center: Float[Tensor, " 3"] | None = None, probes: int = 1000
+) -> Scene:
+    """The scene at the exposure at which the view from a place has the given mean brightness on a display.
+
+    Args:
+        scene: of which only the exposure changes.
+        brightness: 0 to 1.
+        center: ``(3,)`` metres; the origin when not given.
+        probes: directions that are looked at.
+    """
     k = torch.arange(probes) + 0.5
     height, angle = 1 - 2 * k / probes, k * math.pi * (3 - 5**0.5)
     across = (1 - height.square()).sqrt()
     directions = torch.stack([across * angle.cos(), height, across * angle.sin()], -1)
     dim = 0.1
-    seen = render_directions(replace(scene, exposure=torch.tensor(dim)), torch.zeros(3), directions)
+    start = torch.zeros(3) if center is None else center.cpu().float()
+    seen = render_directions(replace(scene, exposure=torch.tensor(dim)), start, directions)
     return replace(scene, exposure=dim * (brightness / seen.mean().clamp(min=1e-3)) ** 2.2)
 
 

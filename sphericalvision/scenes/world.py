@@ -243,7 +243,7 @@ class WorldFrame:
         if world.unlit or world.other_sky:
             dull, skies = torch.rand(2, generator=self.draws.sky).tolist()
             if dull < world.unlit:
-                scene = exposed(unlit(scene), 0.45)
+                scene = exposed(unlit(scene), 0.45, center)
             if skies < world.other_sky:
                 scene = under_another_sky(scene, self.draws.sky)
         return scene

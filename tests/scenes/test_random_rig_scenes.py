@@ -135,6 +135,15 @@ def test_what_happens_how_often_is_plain_values():
             random_rigs(1, values={**values, **wrong})
 
 
+def test_scenes_without_lamps_are_as_bright_wherever_the_rig_is():
+    rig = ring_rig(3, image_size=(24, 24))
+    poses = rig.world_from_camera.clone()
+    poses[:, :3, 3] += torch.tensor([30.0, -4.0, 20.0])
+    for seed in range(3):
+        here, there = (World(r, unlit=1.0).frame(seed) for r in (rig, rig.replaced(world_from_camera=poses)))
+        torch.testing.assert_close(there.scene.exposure, here.scene.exposure, rtol=0.01, atol=0)
+
+
 def test_a_carrier_is_in_view_and_in_the_truth_where_it_counts():
     rig, down = ring_rig(3, image_size=(24, 24)), torch.tensor([0.0, 1.0, 0.0])
     frames = [World(rig, carrier="pole", carrier_counts=counts).frame(3) for counts in (True, False)]

@@ -151,9 +151,8 @@ def evaluate_checkpoint(config: Annotated[DictConfig, EvaluateKeys], folder: Pat
     nothing = torch.zeros(1, *net.grid.shape, device=net.device)
     within = net.index_at(nothing, Icosphere(level, device=net.device).vertices)[1]
     published = getattr(data, "published", None)
-    measure = (StripErrors if published else VertexErrors)(
-        scale, level, net.device, within, config.max_depth_m
-    )
+    limit = config.max_depth_m if config.max_depth_m != "auto" else getattr(data, "max_depth", "auto")
+    measure = (StripErrors if published else VertexErrors)(scale, level, net.device, within, limit)
     samples = SampleFrames(lambda numbers: data.loader(Subset(frames, numbers)), len(frames))
     records = evaluate(methods, samples, measure)
     if records[name].means["points"]["kept"] == 0:
@@ -163,7 +162,7 @@ def evaluate_checkpoint(config: Annotated[DictConfig, EvaluateKeys], folder: Pat
     table = save_errors(
         folder / "metrics",
         f"{config.split}, {len(frames)} frame(s), level {config.model.level}, percent of N = {net.num_hypotheses}; "
-        f"AbsRel, d<1.25 {limit_text(config.max_depth_m)}",
+        f"AbsRel, d<1.25 {limit_text(limit)}",
         mean_errors_by_method(records),
     )
     if published:

@@ -62,6 +62,8 @@ class ScannedDataModule(DepthDataModule):
     augment: bool = True
 
     of_training = ("seed", "augment")
+    max_depth: ClassVar[float] = 80.0
+    """Metres up to which AbsRel and d<1.25 count where no other limit is given, whatever frames are called."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

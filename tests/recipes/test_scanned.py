@@ -229,6 +229,17 @@ def test_the_rigs_own_body_is_masked(tmp_path: Path) -> None:
     assert sample["seen"]["cam2"][40:54, 40:54].all()
 
 
+def test_frames_that_are_called_as_rendered_rooms_are_none(run: Run, weights: Path, tmp_path: Path) -> None:
+    write_own(tmp_path, ring_rig(4, image_size=(16, 16)), ("room-1",))
+    words = ("data.images={camera}/{frame}.png", "data.calibration=rig.yaml", "data.points=scans")
+    tables = {}
+    for name, more in {"usual": (), "far": ("max_depth_m=80",)}.items():
+        given = ("data=scanned", *words, "data.lidar_pose=lidar.txt", "data.num_workers=0", *more)
+        run("evaluate", f"checkpoint={weights}", "device=cpu", f"output={name}", *given)
+        tables[name] = (tmp_path / name / "metrics.md").read_text()
+    assert tables["usual"] == tables["far"]
+
+
 def test_scans_and_rigs_far_from_the_origin_are_as_exact(tmp_path: Path) -> None:
     """Both in UTM, in double precision."""
     rig, place = ring_rig(2, image_size=(16, 16)), torch.tensor([500_000.0, 10.0, 4_600_000.0]).double()

@@ -245,7 +245,7 @@ class OwnScansDataModule(CaptureFields, ScannedDataModule):
     Args:
         points: folder of a scan for each frame.
         lidar_pose: file with rig from scanner, 12 or 16 numbers or a line of TUM's; the rig's frame when not given.
-        tolerance: seconds between images and scan, at most, where names are times.
+        tolerance: seconds between images of one frame, and between them and their scan, at most, where names are times.
         point_columns: numbers of a point in ``.bin`` files, which do not tell them.
         val_share: share of the frames, the last ones, that validate and are not learned from.
         frames_named: names or numbers of frames.
@@ -260,7 +260,7 @@ class OwnScansDataModule(CaptureFields, ScannedDataModule):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        source = self.capture_with(frames=self.frames_named).open()
+        source = self.capture_with(frames=self.frames_named, tolerance=self.tolerance).open()
         if type(source) is not Files or any("" in files for files in source.files.values()):
             raise ArgumentError(
                 "data.images: scans lie beside image files, one for each camera and frame; expected such, not videos, "

@@ -229,6 +229,16 @@ def test_the_rigs_own_body_is_masked(tmp_path: Path) -> None:
     assert sample["seen"]["cam2"][40:54, 40:54].all()
 
 
+def test_the_tolerance_is_that_between_cameras_too(tmp_path: Path) -> None:
+    write_own(tmp_path, ring_rig(2, image_size=(16, 16)), ("1700000000.00",))
+    (tmp_path / "cam2/1700000000.00.png").rename(tmp_path / "cam2/1700000000.03.png")
+    with pytest.raises(MissingFileError, match=r"are 30 ms apart or more; tolerance=0\.033"):
+        own_scans(tmp_path)
+    with pytest.warns(UserWarning, match="by 30 ms at most"):
+        data = own_scans(tmp_path, tolerance=0.033)
+    assert data.frames("test", 32, dict).names == ["1700000000.00"]
+
+
 def test_frames_that_are_called_as_rendered_rooms_are_none(run: Run, weights: Path, tmp_path: Path) -> None:
     write_own(tmp_path, ring_rig(4, image_size=(16, 16)), ("room-1",))
     words = ("data.images={camera}/{frame}.png", "data.calibration=rig.yaml", "data.points=scans")

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.sphere_images import SphereLookup, sphere_lookups
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError, ShapeError, check_floating
 from sphericalvision.icosphere import Icosphere
 
 __all__ = [
@@ -81,16 +81,23 @@ class Intake:
         self.seen = torch.stack(list(pixels_seen(rig).values()))
 
     def __call__(
-        self, images: Mapping[str, Float[Tensor, "*batch 3 _ _"]]
+        self, images: Mapping[str, Shaped[Tensor, "*batch 3 _ _"]]
     ) -> Float[Tensor, "*batch_and_size"]:
         """Return images ``(*b, n, 3, *size)`` in [-1, 1], cameras in the rig's order, 0 where not seen.
 
         Args:
-            images: camera name -> ``(*b, 3, h, w)`` in [0, 1].
+            images: camera name -> ``(*b, 3, h, w)`` in [0, 1], or bytes.
 
         Raises:
             ShapeError: other cameras than the rig's, or another image size than the calibration's.
+            ArgumentError: images of other integers.
         """
+        images = {
+            name: image.float() / 255 if image.dtype == torch.uint8 else image
+            for name, image in images.items()
+        }
+        for name, image in images.items():
+            check_floating(f"images[{name!r}]", image)
         return signed(self.looked_up(images), self.seen)
 
     def looked_up(

@@ -12,6 +12,7 @@ from PIL import Image
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.data import ToSphere
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import SemiGlobalSweep
 from sphericalvision.sphere.intake import Intake, as_photographs, signed, unsigned
@@ -42,6 +43,20 @@ def test_a_batch_is_its_images_one_by_one_in_the_order_of_the_rig(
         assert torch.equal(found, intake({name: image[frame] for name, image in images.items()}))
     only_second = intake({name: (image * (name == "cam2"))[0] for name, image in images.items()})
     assert torch.equal(only_second[1], intake(images)[0, 1])
+
+
+def test_bytes_are_shares_of_white_and_other_integers_are_refused(generator: torch.Generator) -> None:
+    rig = ring_rig(2, image_size=(24, 24))
+    images = {name: torch.randint(256, (3, 24, 24), generator=generator).byte() for name in rig.names}
+    shares = {name: image / 255 for name, image in images.items()}
+    for grid in (Icosphere(3), None):
+        torch.testing.assert_close(Intake(rig, grid)(images), Intake(rig, grid)(shares))
+    with pytest.raises(
+        ArgumentError, match=r"images\['cam1'\]: expected floating point values, got torch.int64"
+    ):
+        Intake(rig, None)({name: image.long() for name, image in images.items()})
+    with pytest.raises(ArgumentError, match="images: expected floats in "):
+        ToSphere(3).images({name: image.float() for name, image in images.items()}, rig)
 
 
 def test_signed_has_an_inverse(generator: torch.Generator) -> None:

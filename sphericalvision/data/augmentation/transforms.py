@@ -7,12 +7,13 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, ArgumentTypeError, ShapeError
 from sphericalvision.data.omnistereo.ground_truth import check_panorama_size
+from sphericalvision.geometry.directions import holds
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sphere.intake import Intake
@@ -20,6 +21,9 @@ from sphericalvision.sphere.intake import Intake
 __all__ = ["Compose", "RandomShift", "ShuffleCameras", "ToSphere"]
 
 Sample = dict[str, Any]
+
+FARTHEST = 3.0
+"""On average from 0, of values in [-1, 1]: no noise brings them there, and floats up to 255 are farther."""
 
 
 class Compose:
@@ -101,17 +105,25 @@ class ToSphere:
         images, seen = self.images(sample["images"], sample["rig"]), self.seen(sample["rig"])
         return {**sample, "images": images, "seen": seen, "inverse_depth": inverse_depth, "valid": valid}
 
-    def images(self, images: Mapping[str, Float[Tensor, "3 _ _"]], rig: CameraRig) -> Float[Tensor, "n 3 V"]:
+    def images(self, images: Mapping[str, Shaped[Tensor, "3 _ _"]], rig: CameraRig) -> Float[Tensor, "n 3 V"]:
         """Images on the icosphere, ``(n, 3, V)`` in [-1, 1], 0 where a camera does not look.
 
         Args:
-            images: camera name -> ``(3, h, w)`` in [0, 1].
+            images: camera name -> ``(3, h, w)`` in [0, 1], or bytes.
             rig: unbatched.
 
         Raises:
             ShapeError: other cameras than the rig's, or another image size than the calibration's.
+            ArgumentError: values far beyond [0, 1], such as floats up to 255.
         """
-        return self._intake_of(rig)(images)
+        values = self._intake_of(rig)(images)
+        far = values.abs().mean()  # single pixels, such as those of a mask, may hold anything
+        if not holds(~(far > FARTHEST)):
+            raise ArgumentError(
+                f"images: expected floats in [0, 1], got some of {float(far) / 2:g} on average; divide by the white "
+                "value, or give uint8 as it is"
+            )
+        return values
 
     def seen(self, rig: CameraRig) -> Bool[Tensor, "n V"]:
         """Tell what of ``images`` was seen.

@@ -142,8 +142,11 @@ def by_numbers(name: str | Path) -> tuple[list[tuple[int, str]], str]:
         >>> sorted(["img10.png", "img2.png"], key=by_numbers)
         ['img2.png', 'img10.png']
     """
-    parts = re.split(r"(\d+)", str(name))  # never an odd place without digits
-    return [(int(part), "") if at % 2 else (-1, part) for at, part in enumerate(parts)], str(name)
+    key = [(-1, part) for part in re.split(r"(\d+)", str(name))]
+    for at in range(1, len(key), 2):  # an odd place holds digits, perhaps more than int() takes
+        digits = key[at][1].lstrip("0")
+        key[at] = len(digits), digits
+    return key, str(name)
 
 
 def list_folder(folder: str | Path, what: str) -> set[str]:

@@ -269,7 +269,8 @@ def _ocam_start(model: FittedModel, samples: Samples) -> list[Tensor]:
         radius = torch.hypot(*_undo_affine(samples.pixels, samples.center, affine))
         coefficients = solve_linear(powers, radius)
         ideal = (powers @ coefficients).unsqueeze(-1) * around
-        (across, d), (e, down) = torch.linalg.lstsq(ideal, samples.pixels - samples.center).solution
+        offsets = (samples.pixels - samples.center).unbind(-1)
+        (across, e), (d, down) = (solve_linear(ideal, offset) for offset in offsets)
         affine = torch.stack((down, d, e)) / across
     parts = {"inverse_polynomial": coefficients, "principal_point": samples.center, "affine": affine}
     return [model.vector(parts)]

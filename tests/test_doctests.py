@@ -13,9 +13,18 @@ import pytest
 import torch
 
 import sphericalvision
+import sphericalvision.recipes
 
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
-MODULES = sorted(info.name for info in pkgutil.walk_packages(sphericalvision.__path__, "sphericalvision."))
+# The recipes are a folder of their own until a wheel is built: an editable install has no path from one to the other.
+MODULES = sorted(
+    {
+        info.name
+        for package in (sphericalvision, sphericalvision.recipes)
+        for info in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
+        if not info.name.endswith("__main__")  # which is a command
+    }
+)
 
 
 @pytest.mark.usefixtures("copied_registries")

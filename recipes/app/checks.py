@@ -61,17 +61,13 @@ def typed(kind: type[T], config: Mapping[str, Any], prefix: str = "") -> T:
         ArgumentError: a value does not fit its type; the message names the key.
 
     Examples:
-        >>> from pydantic.dataclasses import dataclass
-        >>> from sphericalvision.recipes.app.kinds import STRICT, Count
-        >>> @dataclass(config=STRICT)
-        ... class Picture:
-        ...     height: Count
-        >>> typed(Picture, {"height": 3})
-        Picture(height=3)
-        >>> typed(Picture, {"height": 0})
+        >>> from sphericalvision.recipes.app.rigs import Calibration
+        >>> typed(Calibration, {"calibration": "rig.yaml", "max_angle_deg": 95.0}).max_angle_deg
+        95.0
+        >>> typed(Calibration, {"calibration": "rig.yaml", "max_angle_deg": 0.0})
         Traceback (most recent call last):
         ...
-        sphericalvision.core.ArgumentError: height: expected a whole number of 1 or more, got 0
+        sphericalvision.core.ArgumentError: max_angle_deg: expected a number above 0 and up to 180 or null, got 0.0
     """
     hints = get_type_hints(kind, include_extras=True)
     values = {}

@@ -166,10 +166,11 @@ def scores(
         in percent of N = 16 at the vertices of level 4, ``["fine"]`` that at level 6; ``["seconds"]`` a frame.
 
     Examples:
+        >>> from sphericalvision.capture.preparation.preparation import AS_IT_IS
         >>> from sphericalvision.models import WinnerTakesAll
         >>> small = Size(level=3, panorama_rows=8, image_rows=16, samples_per_pixel=1, preparation=AS_IT_IS)
-        >>> found = scores(WinnerTakesAll(3, 4), "room", frames=1, cache=None, size=small)
-        >>> 0 < found["coarse"]["all"]["MAE"] < 100
+        >>> result = scores(WinnerTakesAll(3, 4), "room", frames=1, cache=None, size=small)
+        >>> 0 < result["coarse"]["all"]["MAE"] < 100
         True
     """
     chosen = TRACKS[track] if isinstance(track, str) else track

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of scanned points: ``.pcd``, ``.bin``, ``.ply`` and ``.npy``."""
+"""Files of scanned points: ``.pcd``, ``.bin``, ``.ply``, ``.npy``, ``.csv`` and ``.xyz``."""
 
 from __future__ import annotations
 
 import io
+import re
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.core import FileFormatError, check_file
+from sphericalvision.io.ply_header import read_ply_header
 
 __all__ = ["POINT_SUFFIXES", "read_points"]
 
-POINT_SUFFIXES = (".pcd", ".bin", ".ply", ".npy")
+POINT_SUFFIXES = (".pcd", ".bin", ".ply", ".npy", ".csv", ".xyz")
 
 _AXES = ("x", "y", "z")
 FARTHEST = 1e7
@@ -30,7 +32,9 @@ CLEARLY_LESS = 0.8
 _COLUMNS_REMEDY = "say how many float32 numbers a point has (columns=), or write float64 as .npy"
 
 
-def read_points(path: str | Path, *, columns: int | None = None) -> Float[Tensor, "P 3"]:
+def read_points(
+    path: str | Path, *, columns: int | None = None, ignore_viewpoint: bool = False
+) -> Float[Tensor, "P 3"]:
     """Read scanned points ``(P, 3)``, without those that are not finite.
 
     What a file stores as float64, or as text, is returned as float64: coordinates of a national grid lose decimetres
@@ -46,17 +50,22 @@ def read_points(path: str | Path, *, columns: int | None = None) -> Float[Tensor
     ``.ply`` vertices of any PLY
     ``.npy`` an array ``(P, 3)`` to ``(P, 16)``, whose first columns are x, y, z, or
              a structured one with fields of these names
+    ``.csv`` text, a point a line, separated by commas, semicolons, tabs or blanks.
+    ``.xyz`` x, y, z are the columns of these names where the first line names
+             columns, else the first three; lines after ``#`` or ``//`` are comments
     ======== =====================================================================
 
     Args:
         path: of the file.
         columns: numbers of a point in a ``.bin``, which does not tell them.
+        ignore_viewpoint: take points of a ``.pcd`` as stored even if its line VIEWPOINT holds a pose. Some programs
+            have moved the points by that pose, others have not, and the file does not state which.
 
     Raises:
         MissingFileError: there is no such file.
         FileFormatError: it is damaged, of none of these formats, or its values are none that a scanner gives: points
-            farther than 10,000 km, or columns of a ``.bin`` that repeat in another rhythm, as float64 and
-            columns counted wrong have them.
+            farther than 10,000 km, whole numbers, whose unit nobody knows, or columns of a ``.bin`` that repeat in
+            another rhythm, as float64 and columns counted wrong have them. Or a ``.pcd`` has a VIEWPOINT.
 
     Examples:
         >>> np.save("scan.npy", np.ones((2, 3), np.float32))
@@ -67,7 +76,12 @@ def read_points(path: str | Path, *, columns: int | None = None) -> Float[Tensor
     if path.suffix not in POINT_SUFFIXES:
         raise FileFormatError(f"{path}: expected one of {', '.join(POINT_SUFFIXES)}, got {path.suffix!r}")
     try:
-        points = _bin(path, columns) if path.suffix == ".bin" else _READERS[path.suffix](path)
+        if path.suffix == ".bin":
+            points = _bin(path, columns)
+        elif path.suffix == ".pcd":
+            points = _pcd(path, ignore_viewpoint)
+        else:
+            points = _READERS[path.suffix](path)
     except FileFormatError:
         raise
     except Exception as error:  # numpy and trimesh raise whatever they meet in a damaged file
@@ -78,8 +92,10 @@ def read_points(path: str | Path, *, columns: int | None = None) -> Float[Tensor
         raise FileFormatError(
             f"{path}: expected points (P, 3), one a row, got {points.shape}; transpose them if the rows are x, y, z"
         )
-    kind = np.float32 if points.dtype in (np.float16, np.float32) else np.float64
-    coordinates = np.ascontiguousarray(points[:, :3], kind)
+    if points.dtype.kind != "f":
+        raise FileFormatError(_whole_numbers(path, str(points.dtype)))
+    precision = np.float32 if points.dtype.itemsize <= 4 else np.float64
+    coordinates = np.ascontiguousarray(points[:, :3], precision)
     coordinates = coordinates[np.isfinite(coordinates).all(1)]
     if len(coordinates) and (farthest := np.abs(coordinates).max()) > FARTHEST:
         raise FileFormatError(
@@ -89,7 +105,14 @@ def read_points(path: str | Path, *, columns: int | None = None) -> Float[Tensor
     return torch.from_numpy(coordinates)
 
 
-def _pcd(path: Path) -> Any:
+def _whole_numbers(path: Path, dtype: str) -> str:
+    return (
+        f"{path}: expected floating point coordinates in metres, got {dtype}; divide by 1000 if they are millimetres, "
+        "and store float32"
+    )
+
+
+def _pcd(path: Path, ignore_viewpoint: bool) -> Any:
     content = path.read_bytes()
     head: dict[str, list[str]] = {}
     at = 0
@@ -99,6 +122,13 @@ def _pcd(path: Path) -> Any:
             raise FileFormatError(f"{path}: a header of PCD ends with a line DATA, and there is none")
         key, *words = content[at:end].decode("ascii", "replace").split() or ["#"]
         head[key], at = words, end + 1
+    viewpoint = [float(number) for number in head.get("VIEWPOINT", ())]
+    if viewpoint not in ([], [0, 0, 0, 1, 0, 0, 0]) and not ignore_viewpoint:
+        raise FileFormatError(
+            f"{path}: VIEWPOINT {' '.join(head['VIEWPOINT'])}: expected 0 0 0 1 0 0 0, because a PCD does not state "
+            "whether its points are moved by that pose already. Move them if they are not, then "
+            f"sed -i 's/^VIEWPOINT.*/VIEWPOINT 0 0 0 1 0 0 0/' {path.name}"
+        )
     (kind,) = head["DATA"]
     if kind not in ("ascii", "binary"):
         raise FileFormatError(
@@ -161,9 +191,29 @@ def _period(values: Any, width: int) -> int:
 def _ply(path: Path) -> Any:
     import trimesh  # half a second to import
 
+    header = read_ply_header(path)
+    types = {header.properties.get("vertex", {}).get(axis, "float") for axis in _AXES}
+    if integers := sorted(name for name in types if not name.startswith(("float", "double"))):
+        raise FileFormatError(_whole_numbers(path, integers[0]))
     # Of a file without a name trimesh opens no texture, wherever it may lie, and waits for no pipe.
     loaded: Any = trimesh.load(io.BytesIO(path.read_bytes()), file_type="ply", process=False)
+    header.check_vertices(path, len(loaded.vertices))
     return np.asarray(loaded.vertices)
+
+
+def _text(path: Path) -> Any:
+    lines = [line.strip() for line in path.read_text("utf-8-sig").splitlines() if line.strip()]
+    start = next((at for at, line in enumerate(lines) if re.match(r"[-+.\d]|nan", line)), len(lines))
+    columns = [0, 1, 2]
+    for line in lines[:start]:
+        names = re.findall(r"[^\s,;\"'#/]+", line.lower())
+        if set(_AXES) <= set(names):
+            columns = [names.index(axis) for axis in _AXES]
+        elif not line.startswith(("#", "//")):
+            raise FileFormatError(f"{path}: expected columns x, y and z, got {line[:80]!r}")
+    # Blanks last: in "1,5 2,5 3,5" commas are no separators, and no column is a number then.
+    delimiter = next((sign for sign in ";\t," if sign in "".join(lines[start : start + 1])), None)
+    return np.loadtxt(lines[start:], delimiter=delimiter, comments=("#", "//"), usecols=columns, ndmin=2)
 
 
 def _npy(path: Path) -> Any:
@@ -172,4 +222,4 @@ def _npy(path: Path) -> Any:
     return points if names is None else np.stack([points[axis] for axis in _AXES], 1)
 
 
-_READERS = {".pcd": _pcd, ".ply": _ply, ".npy": _npy}
+_READERS = {".ply": _ply, ".npy": _npy, ".csv": _text, ".xyz": _text}

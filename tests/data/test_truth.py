@@ -95,6 +95,12 @@ def test_truth_is_as_the_centre_says_and_refuses_what_are_no_points() -> None:
         truth_from_points(around, grid, gap=-1.0)
 
 
+def ply(kind: str, count: int) -> bytes:
+    """One vertex, of which the header declares ``count``."""
+    axes = "".join(f"property {kind} {axis}\n" for axis in "xyz")
+    return f"ply\nformat ascii 1.0\nelement vertex {count}\n{axes}end_header\n1 2 3\n".encode()
+
+
 def write_pcd(path: Path, points: np.ndarray, kind: str) -> None:
     """A file as PCL writes it, with more fields than are wanted."""
     head = (
@@ -117,7 +123,14 @@ def test_points_are_read_from_every_format(tmp_path: Path) -> None:
     np.hstack((points, points[:, :1])).tofile(tmp_path / "c.bin")
     np.save(tmp_path / "d.npy", np.vstack((points, np.full((1, 3), np.nan))))
     trimesh.PointCloud(points).export(tmp_path / "e.ply")
-    for name in ("a.pcd", "b.pcd", "c.bin", "d.npy", "e.ply"):
+    (tmp_path / "f.csv").write_text(
+        "time;Y;Z;X\n" + "".join(f"17;{y};{z};{x}\n" for x, y, z in points.tolist())
+    )
+    (tmp_path / "g.csv").write_text("".join(f"{x},{y},{z},9\n" for x, y, z in points.tolist()))
+    (tmp_path / "h.xyz").write_text(
+        "//X Y Z\n# scanned\n" + "".join(f"{x} {y} {z} 9\n" for x, y, z in points.tolist())
+    )
+    for name in ("a.pcd", "b.pcd", "c.bin", "d.npy", "e.ply", "f.csv", "g.csv", "h.xyz"):
         assert np.allclose(read_points(tmp_path / name), points, atol=1e-6), name
 
 
@@ -163,6 +176,7 @@ def test_points_are_those_that_were_written(
         ("odd.bin", rows_of_a_scan(5, 401).astype("<f4"), "columns="),
         ("lying.npy", rows_of_a_scan(3).T, "transpose"),
         ("astray.npy", rows_of_a_scan(3) * 1e6, "metres"),
+        ("millimetres.npy", (rows_of_a_scan(3) * 1000).astype(np.int32), "1000"),
     ],
 )
 def test_arrays_that_are_no_scans_are_refused(
@@ -185,10 +199,25 @@ def test_files_that_hold_no_points_are_refused_by_name(tmp_path: Path) -> None:
         "odd.bin": b"12345",
         "flat.npy": b"no array",
         "x.las": b"",
+        "commas.xyz": b"1,5 2,5 3,5\n",
+        "degrees.csv": b"lon,lat,height\n1,2,3\n",
+        "short.csv": b"1,2\n",
+        "cut.ply": ply("float", 2_000_000_000),
+        "millimetres.ply": ply("int", 1),
     }.items():
         (tmp_path / name).write_bytes(content)
         with pytest.raises(FileFormatError, match=name):
             read_points(tmp_path / name)
+
+
+def test_a_pcd_whose_viewpoint_is_a_pose_is_refused_unless_it_is_known_to_be_applied(tmp_path: Path) -> None:
+    """Some programs move the points by it, others do not."""
+    write_pcd(tmp_path / "moved.pcd", np.ones((2, 3)), "ascii")
+    content = (tmp_path / "moved.pcd").read_text().replace("VIEWPOINT 0 0 0", "VIEWPOINT 10 0 0")
+    (tmp_path / "moved.pcd").write_text(content)
+    with pytest.raises(FileFormatError, match="VIEWPOINT 10"):
+        read_points(tmp_path / "moved.pcd")
+    assert read_points(tmp_path / "moved.pcd", ignore_viewpoint=True).tolist() == [[1, 1, 1]] * 2
 
 
 def test_noise_of_the_scanner_is_tolerated() -> None:

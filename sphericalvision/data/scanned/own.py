@@ -30,7 +30,7 @@ class OwnScans(ScannedFrames):
     Args:
         images: frame -> camera name -> file.
         rig: of the cameras.
-        folder: of the scans, ``.pcd``, ``.bin``, ``.ply`` or ``.npy``.
+        folder: of the scans, in files that ``read_points`` reads.
         rig_from_scanner: ``(4, 4)`` takes points of the scanner to the rig's world.
         height: rows of the panorama of truth.
         transform: of each sample.

@@ -93,4 +93,6 @@ class SpiresDataset(ScannedFrames):
         """Of the cloud."""
         sequence, cloud = name.split("/")
         folder = self.root / "sequences" / sequence / "processed" / "vilens-slam" / "undist-clouds"
-        return transform_points(OURS_FROM_LIDAR, read_points(folder / f"{cloud}.pcd").float())
+        # Clouds of this set are in the frame of the LiDAR; VIEWPOINT is the pose of the LiDAR in the world.
+        points = read_points(folder / f"{cloud}.pcd", ignore_viewpoint=True)
+        return transform_points(OURS_FROM_LIDAR, points.float())

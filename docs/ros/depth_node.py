@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# ruff: noqa: E402
 """A ROS 2 node: images of a rig's cameras in; a panorama of depth, points, pinhole images of depth and a scan out.
 
 ros2 run needs no package for it:  python depth_node.py --ros-args -p calibration:=capture/config.yaml
@@ -10,6 +11,10 @@ import math
 import sys
 from collections.abc import Sequence
 from typing import Any
+
+from sphericalvision.threads import prepare_threads
+
+prepare_threads()  # before torch: a robot's cores have other work
 
 import cv2
 import message_filters

@@ -37,6 +37,7 @@ from sphericalvision import __version__
 from sphericalvision.recipes.app.errors import override_message, plain_errors, refuse, several_processes
 from sphericalvision.recipes.app.help import print_help
 from sphericalvision.recipes.app.words import first_values, quote_paths, read_words
+from sphericalvision.threads import prepare_threads
 
 __all__ = ["config_space", "run_command"]
 
@@ -135,6 +136,7 @@ def import_torch() -> None:
     To look through their hundreds of thousands of objects again and again, and once more at the exit, takes a second of
     a command that takes five.
     """
+    prepare_threads()
     if "torch" not in sys.modules:
         gc.disable()
         import torch  # noqa: F401

@@ -58,6 +58,7 @@ GROUPS = {
     "cameras": "cameras",
     **dict.fromkeys(("convolutions", "network", "variants", "training", "sweep"), "networks"),
     **dict.fromkeys(("data", "fps", "presets"), "frames"),
+    "busy": "busy",
     "gpu": "gpu",
 }
 """Group -> the module of this folder that has a function of its name, of the configuration and the device; that

@@ -28,6 +28,7 @@ from sphericalvision.io.files import write_bytes
 from sphericalvision.recipes.app.cli import console
 from sphericalvision.recipes.evaluation.records import write_json
 from sphericalvision.recipes.evaluation.tables import Table
+from sphericalvision.threads import thread_policy
 
 __all__ = [
     "OURS",
@@ -205,7 +206,7 @@ def machine(device: torch.device | str = "cpu") -> dict[str, str]:
         "device": torch.cuda.get_device_name(device) if torch.device(device).type == "cuda" else "CPU",
         "processor": f"{processor}, {torch.backends.cpu.get_cpu_capability()}",
         "cores": str(os.cpu_count()),
-        "threads": str(torch.get_num_threads()),
+        "threads": f"{torch.get_num_threads()} ({thread_policy()})",
         "torch": torch.__version__,
         "python": platform.python_version(),
         "commit": commit,

@@ -8,7 +8,7 @@ import os
 import pickle
 import threading
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import Any, Literal
@@ -40,6 +40,7 @@ from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.sphere.intake import as_colors, ordered_images
 from sphericalvision.sweep import DepthHint
 from sphericalvision.sweep.hypotheses import check_hypotheses
+from sphericalvision.threads import available_cores
 
 __all__ = ["METHODS", "Predictor"]
 
@@ -319,10 +320,23 @@ class Predictor:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state, _lock=threading.Lock())
 
-    def _turn(self) -> AbstractContextManager[Any]:
-        """Wait for one's turn, where two calls at once would take more cores than there are."""
-        room = 2 * torch.get_num_threads() <= (os.cpu_count() or 1)
-        return nullcontext() if room and self.device.type == "cpu" else self._lock
+    @contextmanager
+    def _turn(self) -> Iterator[None]:
+        """Wait for one's turn, where two calls at once would take more cores than the process may use.
+
+        torch counts the cores of the machine, not the quota of a container: threads without a core would be waited for
+        at the end of each loop, thousands of times a frame. Who sets their number in the environment decides.
+        """
+        threads, cores = torch.get_num_threads(), available_cores()
+        with nullcontext() if 2 * threads <= cores and self.device.type == "cpu" else self._lock:
+            if threads <= cores or "OMP_NUM_THREADS" in os.environ:
+                yield
+                return
+            torch.set_num_threads(cores)
+            try:
+                yield
+            finally:
+                torch.set_num_threads(threads)
 
     def _on_device(self, images: Mapping[str, Any]) -> dict[str, Tensor]:
         """Images in the order of the cameras; bytes travel as bytes, one image while the next one is made ready."""

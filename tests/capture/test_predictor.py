@@ -22,6 +22,7 @@ from sphericalvision import Predictor
 from sphericalvision.cameras import CameraRig, PinholeCamera, ring_rig
 from sphericalvision.capture import Depth
 from sphericalvision.capture import predictor as predictor_module
+from sphericalvision.capture.estimating import threads_kept
 from sphericalvision.capture.export import RigProgram
 from sphericalvision.capture.preparation.nearest import frames_of
 from sphericalvision.capture.preparation.preparation import Preparation
@@ -210,13 +211,34 @@ def test_calls_run_side_by_side_where_there_are_cores_for_both(
             inside[0] -= 1
             return super().predict(*arguments)
 
-    monkeypatch.setattr("os.cpu_count", lambda: cores)
+    monkeypatch.setattr("sphericalvision.capture.predictor.available_cores", lambda: cores)
     monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
     predictor = Predictor(rig, Slow(3, 8), min_depth=0.5)
     with ThreadPoolExecutor(2) as pool:
         found = list(pool.map(predictor, [images] * 2))
     assert most == [cores]
     assert torch.equal(found[0].index, found[1].index)
+
+
+def test_a_call_takes_no_more_threads_than_the_process_has_cores(
+    rig: CameraRig, images: Images, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Counting(SemiGlobalSweep):
+        def predict(self, *arguments: Any) -> DepthEstimate:
+            counts.append(torch.get_num_threads())
+            return super().predict(*arguments)
+
+    counts: list[int] = []
+    monkeypatch.setattr("sphericalvision.capture.predictor.available_cores", lambda: 1)
+    predictor = Predictor(rig, Counting(3, 8), min_depth=0.5)
+    with threads_kept():
+        torch.set_num_threads(2)
+        monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+        predictor(images)
+        assert torch.get_num_threads() == 2
+        monkeypatch.setenv("OMP_NUM_THREADS", "2")
+        predictor(images)
+    assert counts == [1, 2]
 
 
 def test_what_a_first_call_makes_can_be_trained(rig: CameraRig, images: Images) -> None:

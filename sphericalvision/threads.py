@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Threads of a process: how many cores it may use, and how soon a thread without work sleeps.
+
+Imports nothing heavy: the runtime of OpenMP reads its settings when torch is loaded, and never again.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+__all__ = ["available_cores", "prepare_threads", "thread_policy"]
+
+SPIN = "1000"
+"""Rounds for which a thread of libgomp looks for work before it sleeps, some ten microseconds; its own choice is
+300,000, three milliseconds. A frame has thousands of short parallel loops: where another process holds a core, each of
+them would end with three milliseconds of waiting. Measured on two cores: 1,000 takes 0.95 s a frame beside two busy
+processes where 300,000 takes 1.4 to 15, and no longer on idle ones; to sleep at once (``OMP_WAIT_POLICY=PASSIVE``)
+costs idle cores two fifths of a frame, as a second core then gains nothing."""
+
+WAITING = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT", "KMP_BLOCKTIME")
+"""Variables by which a user says how threads wait."""
+
+
+def prepare_threads() -> None:
+    """Choose the number of torch's threads and how they wait; to be called before torch is imported.
+
+    Threads that wait sleep soon, and there are no more than the process may use: a container with a quota of one core
+    gets one thread, on however many cores its machine has. What the variables ``OMP_*``, ``GOMP_*`` and ``KMP_*`` say
+    counts instead; an ``OMP_NUM_THREADS`` that is no number is reported and ignored.
+    """
+    if "torch" in sys.modules:
+        return
+    if not any(os.environ.get(name) for name in WAITING):
+        os.environ["GOMP_SPINCOUNT"] = SPIN
+    if (number := os.environ.get("OMP_NUM_THREADS", "").strip()) and not re.fullmatch(
+        r"0*[1-9]\d{0,4}(\s*,\s*0*[1-9]\d{0,4})*", number
+    ):
+        print(
+            f"Warning: OMP_NUM_THREADS: expected a whole number of 1 or more, got {number!r}; it is ignored",
+            file=sys.stderr,
+        )
+        del os.environ["OMP_NUM_THREADS"]  # or each library that has OpenMP complains of it again
+        number = ""
+    # Without a quota OpenMP's own choice is right: the cores that the process may run on.
+    if not number and "OMP_THREAD_LIMIT" not in os.environ and available_cores() < _scheduled_cores():
+        os.environ["OMP_NUM_THREADS"] = str(available_cores())
+
+
+def available_cores() -> int:
+    """The number of cores that this process may use: by its affinity, and by the quotas of its control groups.
+
+    Examples:
+        >>> 1 <= available_cores() <= os.cpu_count()
+        True
+    """
+    cores = _scheduled_cores()
+    with suppress(OSError, ValueError):  # no Linux, or one without control groups
+        groups = Path("/proc/self/cgroup").read_text()
+        if quotas := list(_quotas(groups, Path("/sys/fs/cgroup"))):
+            cores = min(cores, max(1, math.ceil(min(quotas))))  # half a core is one thread
+    return cores
+
+
+def thread_policy() -> str:
+    """The settings of threads in words, as of ``sphericalvision-speed``."""
+    names = [*WAITING, *(name for name in ("OMP_NUM_THREADS", "OMP_THREAD_LIMIT") if name in os.environ)]
+    settings = [f"{name}={os.environ[name]}" for name in names if os.environ.get(name)]
+    return f"{available_cores()} cores may be used, {' '.join(settings) or 'OpenMP as it comes'}"
+
+
+def _scheduled_cores() -> int:
+    """Cores that the process may be scheduled on."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _quotas(groups: str, root: Path) -> list[float]:
+    """Cores by the quota of each control group above a process; none where there is no quota.
+
+    Args:
+        groups: text of ``/proc/self/cgroup``, of version 1, 2 or both.
+        root: where control groups are mounted.
+    """
+    quotas = []
+    for line in groups.splitlines():
+        _, controllers, path = line.split(":", 2)
+        if controllers and "cpu" not in controllers.split(","):
+            continue
+        # Version 2 has no controllers here. In a container the path may be that of the host, and its group the mount.
+        for mount in (root / controllers, root / "cpu") if controllers else (root, root / "unified"):
+            group = mount / path.lstrip("/")
+            for folder in (group, *group.parents):
+                with suppress(OSError, ValueError):
+                    if controllers:
+                        quota, period = (
+                            (folder / f"cpu.cfs_{name}_us").read_text() for name in ("quota", "period")
+                        )
+                    else:
+                        quota, period = (folder / "cpu.max").read_text().split()
+                    if quota != "max" and int(quota) > 0:
+                        quotas.append(int(quota) / int(period))
+    return quotas

@@ -14,6 +14,7 @@ from torch._inductor.exc import TritonMissing
 
 from sphericalvision import Predictor
 from sphericalvision.cameras import CameraRig, FisheyeCamera, ring_rig
+from sphericalvision.capture.constant_folding import with_constants_folded
 from sphericalvision.capture.export import (
     RigProgram,
     compile_program,
@@ -22,7 +23,6 @@ from sphericalvision.capture.export import (
     export_program,
     onnx_difference,
     rig_tables,
-    with_constants_folded,
 )
 from sphericalvision.capture.preparation.preparation import AS_IT_IS
 from sphericalvision.core import ArgumentError, MissingCompilerError, kernels

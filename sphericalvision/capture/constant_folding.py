@@ -22,12 +22,27 @@ PARTS = {
 }
 """Operation that returns several parts of a tensor -> which of its arguments is the dimension."""
 CONVOLUTIONS = tuple(getattr(torch.ops.aten, f"conv{dims}d").default for dims in (1, 2, 3))
+CHEAP = {
+    getattr(torch.ops.aten, name).default
+    for name in ("view", "_unsafe_view", "reshape", "expand", "unsqueeze", "permute", "clone")
+} | {
+    torch.ops.aten.select.int,
+    torch.ops.aten.slice.Tensor,
+    torch.ops.aten.transpose.int,
+    torch.ops.aten.to.dtype,
+    torch.ops.aten._to_copy.default,
+    torch.ops.aten.add.Tensor,
+}
+"""Operations that cost less than another table in the file: several such views share the table they are of."""
+LARGE = 100_000
+"""Bytes from which a table is worth an operation more."""
 
 
 def with_constants_folded(traced: GraphModule, *inputs: Any) -> GraphModule:
     """Return a traced module in which everything that does not depend on its inputs is a constant.
 
-    Index arithmetic of icospheres makes up most of a network's graph, and none of it depends on images.
+    Index arithmetic of icospheres makes up most of a network's graph, and none of it depends on images. Large tables
+    are stored once, however many views of them are used, and their integers in 32 bits if these are enough.
     """
     values: dict[Node, Any] = {}
 
@@ -41,30 +56,102 @@ def with_constants_folded(traced: GraphModule, *inputs: Any) -> GraphModule:
             return value
 
     Remembering(traced).run(*inputs)
+    views = _views_of_shared_tables(values)
+    constants = {node: value for node, value in values.items() if node not in views}
     for number, node in enumerate(list(traced.graph.nodes)):
-        if node.op != "call_function":
-            continue
-        if node.target in CONVOLUTIONS and node.args[2:3] in ((), (None,)):
+        if node.op == "call_function" and node.target in CONVOLUTIONS and node.args[2:3] in ((), (None,)):
             # Converters write a bias of zeros in a way that onnxruntime refuses.
-            weight = values[node.args[1]]  # type: ignore[index]
+            weight = values[node.args[1]]
             traced.register_buffer(f"bias{number}", weight.new_zeros(len(weight)))
             with traced.graph.inserting_before(node):
                 bias = traced.graph.get_attr(f"bias{number}")
             node.args = (*node.args[:2], bias, *node.args[3:])
         if "assert" in str(node.target):
             traced.graph.erase_node(node)
-        elif isinstance(values.get(node), Tensor) and any(user not in values for user in node.users):
-            name = f"constant{number}"
-            constant_value = values[node].detach().clone()
-            traced.register_buffer(name, constant_value.int() if _only_places(node) else constant_value)
-            with traced.graph.inserting_before(node):
-                constant = traced.graph.get_attr(name)
-            values[constant] = values[node]
-            node.replace_all_uses_with(constant)
+        elif _is_stored(node, constants) and (node.op == "call_function" or _is_large_int64(values[node])):
+            values[_store(traced, node, values[node].detach().clone(), f"constant{number}")] = values[node]
     _slice_parts(traced.graph)
     traced.graph.eliminate_dead_code()
+    used = {node.target for node in traced.graph.nodes if node.op == "get_attr"}
+    for name in [name for name in traced.state_dict(keep_vars=True) if name not in used]:
+        module, _, attribute = name.rpartition(".")
+        delattr(traced.get_submodule(module), attribute)
     traced.recompile()
     return traced
+
+
+def _is_stored(node: Node, values: dict[Node, Any]) -> bool:
+    """Whether a constant is an operand of something that depends on the inputs."""
+    return isinstance(values.get(node), Tensor) and any(user not in values for user in node.users)
+
+
+def _is_large_int64(value: Tensor) -> bool:
+    return value.dtype == torch.int64 and value.nbytes >= LARGE and int(value.abs().max()) < 2**31
+
+
+def _store(traced: GraphModule, node: Node, value: Tensor, name: str) -> Node:
+    """Replace a node by a buffer, and return that; indices of lookups and large integers go into 32 bits."""
+    lookup = node.op == "call_function" and _only_looked_up(node)
+    widened = not lookup and _is_large_int64(value)
+    traced.register_buffer(name, value.int() if lookup or widened else value)
+    with traced.graph.inserting_after(node):
+        constant = traced.graph.get_attr(name)
+    result = constant
+    if widened:
+        with traced.graph.inserting_after(constant):
+            result = traced.graph.call_function(torch.ops.aten.to.dtype, (constant, torch.int64))
+    node.replace_all_uses_with(result)
+    return result
+
+
+def _views_of_shared_tables(values: dict[Node, Any]) -> set[Node]:
+    """Return the constants that stay computations, as what they are computed from is smaller than all of them.
+
+    A sweep reads its table of vertices as a whole, and each corner of the triangles by itself: stored one by one these
+    are twice the table. The largest saving is taken first; what is left then counts anew.
+    """
+    computed: set[Node] = set()
+    while True:
+        constants = {node: value for node, value in values.items() if node not in computed}
+        savings = {}
+        for table, value in constants.items():
+            if isinstance(value, Tensor) and value.nbytes >= LARGE:
+                views = _cheap_views(table, constants)
+                stored = [view for view in views if _is_stored(view, constants)]
+                saving = sum(constants[view].nbytes for view in stored)
+                saving -= 0 if _is_stored(table, constants) else value.nbytes
+                if saving >= LARGE and (len(stored) > 1 or _is_stored(table, constants)):
+                    savings[table] = saving, _paths(stored, views)
+        if not savings:
+            return computed
+        computed |= max(savings.values(), key=lambda entry: entry[0])[1]
+
+
+def _cheap_views(table: Node, constants: dict[Node, Any]) -> set[Node]:
+    """Return all constants that cheap operations make of a table, itself left out."""
+    views: set[Node] = set()
+    todo = [table]
+    while todo:
+        fresh = {
+            user
+            for user in todo.pop().users
+            if user in constants and user.target in CHEAP and user not in views
+        }
+        views |= fresh
+        todo.extend(fresh)
+    return views
+
+
+def _paths(stored: list[Node], views: set[Node]) -> set[Node]:
+    """Return the views that lead to those that are stored, these included."""
+    paths: set[Node] = set()
+    todo = list(stored)
+    while todo:
+        view = todo.pop()
+        if view not in paths:
+            paths.add(view)
+            todo.extend(node for node in view.all_input_nodes if node in views)
+    return paths
 
 
 def _slice_parts(graph: Graph) -> None:
@@ -87,8 +174,8 @@ def _slice_parts(graph: Graph) -> None:
             user.replace_all_uses_with(one)
 
 
-def _only_places(node: Node) -> bool:
-    """Whether a constant only says what to look up, for which 32 bits do: half the size of large tables."""
+def _only_looked_up(node: Node) -> bool:
+    """Whether a constant is the index of lookups alone, for which 32 bits do: half the size of large tables."""
     return node.meta["val"].dtype == torch.int64 and all(
         user.target in LOOKUPS
         and [k for k, argument in enumerate(user.args) if argument is node] == [LOOKUPS[user.target]]

@@ -45,7 +45,8 @@ __all__ = [
 INPUTS = ("camera", "sphere")
 OUTPUTS = ("inverse_depth", "confidence", "seen")
 TABLES = ("inside", "inputs")
-OPSET = 20
+OPSET = 18
+"""Of ONNX. From 20 on GridSample says "linear", which TensorRT does not know, and it samples the nearest pixel."""
 DESCRIPTION = "description"
 """Under which an exported program keeps that of its inputs and outputs."""
 
@@ -344,6 +345,7 @@ def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Pat
     """
     try:
         import onnx  # noqa: F401
+        from onnx_ir.passes import PassManager, common
         from onnxscript.optimizer import fold_constants
     except ImportError as error:
         raise ArgumentError(f"onnx: needs {error.name}: pip install 'sphericalvision[onnx]'") from None
@@ -361,6 +363,16 @@ def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Pat
         )
         assert converted is not None
         fold_constants(converted.model)  # axes and shapes, which TensorRT wants as constants
+        # Folding leaves what it folded, once for each use, and each node says which line of Python it is from.
+        PassManager(
+            [
+                common.RemoveUnusedNodesPass(),
+                common.DeduplicateInitializersPass(),
+                common.CommonSubexpressionEliminationPass(),
+                common.ClearMetadataAndDocStringPass(),
+                common.RemoveUnusedNodesPass(),
+            ]
+        )(converted.model)
         converted.model.metadata_props.update(exported.graph_module.meta.get(DESCRIPTION, {}))
         converted.save(temporary)
     return Path(path)

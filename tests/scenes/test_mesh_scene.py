@@ -331,7 +331,7 @@ def square(
 
 
 @pytest.mark.parametrize("suffix", [".gltf", ".glb"])
-@pytest.mark.parametrize("kind", ["float32", "uint16", "uint8"])
+@pytest.mark.parametrize("kind", ["float32", "uint8"])
 def test_colours_of_a_gltf_are_multiplied_as_its_specification_says(
     kind: str, suffix: str, tmp_path: Path
 ) -> None:
@@ -352,46 +352,32 @@ def test_colours_of_a_gltf_are_multiplied_as_its_specification_says(
     )  # as trimesh writes them
 
 
-TURNED = {
-    "KHR_texture_transform": {
-        "offset": [0.0, 1.0],
-        "rotation": math.pi / 2,
-        "scale": [0.5, 0.5],
-        "texCoord": 1,
-    }
-}
-
-
 @pytest.mark.parametrize(
     ("corners", "texture"),
     [
-        ({"TEXCOORD_0": (PICTURE * 65535).astype(np.uint16)}, {"index": 0}),
-        (
-            {"TEXCOORD_0": 0 * PICTURE, "TEXCOORD_1": (PICTURE * 255).astype(np.uint8)},
-            {"index": 0, "texCoord": 1},
-        ),
-        # (u, v) -> (v, -u) / 2 + (0, 1), of (2 - 2 v, 2 u)
-        (
-            {
-                "TEXCOORD_0": 0 * PICTURE,
-                "TEXCOORD_1": np.stack((2 - 2 * PICTURE[:, 1], 2 * PICTURE[:, 0]), 1),
-            },
-            {"index": 0, "extensions": TURNED},
-        ),
+        ({"POSITION": (CORNERS * 32767).astype(np.int16)}, {}),
+        ({"COLOR_0": (SHADE * 65535).astype(np.uint16)}, {}),
+        ({"TEXCOORD_0": (PICTURE * 65535).astype(np.uint16)}, {}),
+        ({"TEXCOORD_0": PICTURE, "TEXCOORD_1": PICTURE}, {"texCoord": 1}),
+        ({"TEXCOORD_0": PICTURE}, {"extensions": {"KHR_texture_transform": {"scale": [0.5, 0.5]}}}),
     ],
 )
-def test_textures_of_a_gltf_lie_where_its_material_says(corners: Any, texture: Any, tmp_path: Path) -> None:
-    path = square(tmp_path, {"POSITION": CORNERS, **corners}, {"baseColorTexture": texture})
+def test_what_trimesh_reads_wrongly_of_a_gltf_is_refused(corners: Any, texture: Any, tmp_path: Path) -> None:
+    material = {"baseColorTexture": {"index": 0, **texture}}
+    path = square(tmp_path, {"POSITION": CORNERS, **corners}, material)
+    with pytest.raises(FileFormatError, match=r"square\.gltf"):
+        read_mesh_scene(path)
+
+
+def test_a_texture_of_a_gltf_is_on_its_coordinates(tmp_path: Path) -> None:
+    path = square(tmp_path, {"POSITION": CORNERS, "TEXCOORD_0": PICTURE}, {"baseColorTexture": {"index": 0}})
     spots = torch.tensor([[-0.9, -0.9, 1.0], [0.9, -0.9, 1.0], [-0.9, 0.9, 1.0], [0.9, 0.9, 1.0]])
     seen = render_directions(read_mesh_scene(path), ORIGIN, torch.nn.functional.normalize(spots, dim=-1))
     assert seen.argmax(0).tolist() == [0, 0, 1, 2]
 
 
 def test_what_a_gltf_needs_is_read_or_refused(tmp_path: Path) -> None:
-    small = {"POSITION": (CORNERS * 32767).astype(np.int16)}
-    path = square(tmp_path, small, extensionsRequired=["KHR_mesh_quantization"])
-    assert ray_depth(read_mesh_scene(path), ORIGIN, FORWARD).item() == pytest.approx(1.0)
-    for name in ("EXT_meshopt_compression", "KHR_draco_mesh_compression"):
+    for name in ("EXT_meshopt_compression", "KHR_mesh_quantization", "KHR_draco_mesh_compression"):
         path = square(tmp_path, {"POSITION": CORNERS}, extensionsRequired=[name])
         with pytest.raises(
             FileFormatError, match=r"square\.gltf: it (needs the extension|is compressed by Draco)"
@@ -400,5 +386,5 @@ def test_what_a_gltf_needs_is_read_or_refused(tmp_path: Path) -> None:
     tree = json.loads(square(tmp_path, {"POSITION": CORNERS}).read_text())
     tree["accessors"][0]["sparse"] = {"count": 1}
     path.write_text(json.dumps(tree))
-    with pytest.raises(FileFormatError, match="sparse accessors, which are not read"):
+    with pytest.raises(FileFormatError, match="sparse"):
         read_mesh_scene(path)

@@ -7,8 +7,6 @@ import logging
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
-from itertools import islice, takewhile
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -18,7 +16,8 @@ from trimesh.exchange.gltf.extensions import _handlers as handlers
 from trimesh.util import log
 
 from sphericalvision.core import FileFormatError, MissingFileError
-from sphericalvision.scenes.rendering.gltf import NUMBERS, Gltf, in_floats
+from sphericalvision.io.ply_header import PlyHeader, read_ply_header
+from sphericalvision.scenes.rendering.gltf import check_gltf
 
 __all__ = ["load_mesh"]
 
@@ -32,20 +31,26 @@ def load_mesh(path: Path) -> trimesh.Scene:
         FileFormatError: it cannot be read.
     """
     folder, suffix = MeshFolder(path.parent), path.suffix.lower()
-    gltf = Gltf(path) if suffix in (".gltf", ".glb") else None
+    if suffix in (".gltf", ".glb"):
+        check_gltf(path)
     if suffix == ".off":
         _check_off_colours(path)
-    if suffix == ".ply":
-        _check_ply_colours(path)
+    header = read_ply_header(path) if suffix == ".ply" else None
+    if header is not None:
+        _check_ply_colours(path, header)
     # Else corners in one place would become one, of one of their colours. Formats without colours save memory by that.
     apart: dict[str, Any] = {"process": False} if suffix in (".ply", ".obj") else {}
     try:
-        with _complaints(folder.missing, gltf), gltf.file if gltf else path.open("rb") as file:
+        with _complaints(folder.missing), path.open("rb") as file:
             loaded = trimesh.load_scene(file, suffix[1:], resolver=folder, **apart)
         for part in loaded.geometry.values():
+            if header is not None:
+                header.check_vertices(path, len(part.vertices))
             if isinstance(part, trimesh.Trimesh):
                 part.remove_infinite_values()
                 part.remove_unreferenced_vertices()
+    except FileFormatError:
+        raise
     except Exception as error:  # readers of damaged files raise nearly anything
         raise FileFormatError(
             f"{path}: cannot be read as a mesh ({type(error).__name__}: {error})"
@@ -79,22 +84,17 @@ def _check_off_colours(path: Path) -> None:
         raise FileFormatError(f"{path}: colours of OFF files are not read; a PLY with colours of vertices is")
 
 
-def _check_ply_colours(path: Path) -> None:
+def _check_ply_colours(path: Path, header: PlyHeader) -> None:
     """Raise for a PLY file whose colours trimesh passes over, wraps around or takes from one picture of several."""
-    with path.open("rb") as file:
-        lines = [
-            line.split() for line in takewhile(lambda line: line.strip() != b"end_header", islice(file, 1000))
-        ]
-    pictures = [words for words in lines if words[:2] == [b"comment", b"TextureFile"]]
-    if len(pictures) > 1:
+    if header.textures > 1:
         raise FileFormatError(
-            f"{path}: it has {len(pictures)} textures, of which one is read; expected one, or an OBJ or glTF file"
+            f"{path}: it has {header.textures} textures, of which one is read; expected one, or an OBJ or glTF file"
         )
-    for words in lines:
-        kind, name = b" ".join(words[1:2]).decode("latin-1"), b" ".join(words[2:]).decode("latin-1").lower()
-        if words[:1] != [b"property"] or not (name.endswith("red") or name == "r"):
+    for name, kind in (item for types in header.properties.values() for item in types.items()):
+        lower = name.lower()
+        if not lower.endswith("red") and lower != "r":
             continue
-        if name != "red" or kind not in ("uchar", "uint8", "float", "float32", "double", "float64"):
+        if lower != "red" or kind not in ("uchar", "uint8", "float", "float32", "double", "float64"):
             raise FileFormatError(
                 f"{path}: its colours are {kind} {name!r}, which are not read; expected uchar 'red', 'green' and 'blue'"
             )
@@ -131,10 +131,8 @@ class MeshFolder(Mapping[str, bytes]):
 
 
 @contextmanager
-def _complaints(messages: list[str], gltf: Gltf | None) -> Iterator[None]:
+def _complaints(messages: list[str]) -> Iterator[None]:
     """Add to ``messages`` what trimesh cannot load meanwhile: it goes on without, and tells only its log.
-
-    Numbers of a glTF are made ready.
 
     Textures of the extension `SPECULAR` stay packed meanwhile: trimesh would unpack and mix them, of whatever size.
     """
@@ -148,8 +146,6 @@ def _complaints(messages: list[str], gltf: Gltf | None) -> Iterator[None]:
 
     log.addFilter(keep)
     handlers["material"][SPECULAR] = _colours_only
-    if gltf is not None:
-        handlers["primitive_preprocess"][NUMBERS] = partial(in_floats, gltf.header)
     log.setLevel(logging.DEBUG)
     try:
         yield
@@ -157,7 +153,6 @@ def _complaints(messages: list[str], gltf: Gltf | None) -> Iterator[None]:
         log.setLevel(before)
         log.removeFilter(keep)
         handlers["material"][SPECULAR] = specular
-        handlers["primitive_preprocess"].pop(NUMBERS, None)
 
 
 def _colours_only(context: Mapping[str, Any]) -> dict[str, Any]:

@@ -360,7 +360,7 @@ EXCEPTIONS: dict[str, str] = {
     "World": SCENE,
     "WorldSamples": SCENE,
     **dict.fromkeys(("PhotometricAugmentation", "RandomShift", "RandomSphereRotation", "RandomYaw"), DRAWN),
-    **dict.fromkeys(("RotateFivefold", "ShuffleCameras"), DRAWN),
+    "RotateFivefold": DRAWN,
     **dict.fromkeys(("RotateFisheye", "ToSphere"), "keeps tables of a rig, which it recognises by its numbers"),
     **dict.fromkeys(("Depth", "DepthImage", "Hint", "Predictor"),
                     "looks for the nearest depth, and gives numbers to people"),

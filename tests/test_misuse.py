@@ -537,11 +537,6 @@ Preparation(photometric='yes') -> photometric: expected
 resample(VALUES, ico(), Equirectangular(4, 8), mode='cubic') -> mode: expected one of 'bilinear', 'nearest'
 resample(torch.zeros(1, 6, 4, 4).long(), Cubemap(4), Healpix(1)) -> values: floating point .* for mode 'bilinear'
 resample(torch.zeros(1, 6, 4, 4), Cubemap(4), ico(), mask=torch.ones(4, 4)) -> mask: \(\*b, 6, 4, 4\) as the source
-resample(VALUES, ico(), camera(), mode='conservative') -> mode: 'conservative' is between grids.*FisheyeCamera
-resample(IMAGE, camera(), ico(), mode='conservative') -> mode: 'conservative' is between grids.*FisheyeCamera
-resample(VALUES, ico(), Equirectangular(8, 32, max_latitude=0.5), mode='conservative') -> target: 12\.57 and 6\.02
-resample(VALUES, ico(), Icosphere(1), EYE.expand(1, 3, 3), mode='conservative') -> rotation: takes one, \(3, 3\)
-resample(VALUES, ico(), TangentImages(0, 5), mode='conservative') -> conservative: do not overlap.*TangentImages
 # sphere: grids
 Cubemap(4).sample(torch.zeros(6, 4, 4), DIRECTIONS) -> values: expected shape \(\*b, c, 6, 4, 4\), got \(6, 4, 4\)
 Equirectangular(4, 8).sample(torch.zeros(3, 8, 4), DIRECTIONS) -> values: \(\*b, c, 4, 8\), got \(3, 8, 4\)

@@ -6,7 +6,6 @@ from .augmentation.sphere_transforms import RandomSphereRotation as RandomSphere
 from .augmentation.sphere_transforms import RandomYaw as RandomYaw
 from .augmentation.transforms import Compose as Compose
 from .augmentation.transforms import RandomShift as RandomShift
-from .augmentation.transforms import ShuffleCameras as ShuffleCameras
 from .augmentation.transforms import ToSphere as ToSphere
 from .collate import collate_samples as collate_samples
 from .omnistereo.dataset import OmniStereoDataset as OmniStereoDataset

@@ -17,7 +17,7 @@ import torch
 from sphericalvision.cameras import CameraRig, EquirectangularCamera, read_rig, sample_sphere
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.data.augmentation.photometric import PhotometricAugmentation
-from sphericalvision.data.augmentation.transforms import Compose, RandomShift, ShuffleCameras, ToSphere
+from sphericalvision.data.augmentation.transforms import Compose, RandomShift, ToSphere
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Equirectangular
 
@@ -136,14 +136,6 @@ def test_shift_moves_pixels_and_the_rig_stays(rig: CameraRig, with_truth: Make) 
     torch.testing.assert_close(same, with_truth(rig)["images"]["cam2"], rtol=0, atol=1e-5)
 
 
-def test_cameras_are_shuffled_with_their_poses(rig: CameraRig, with_truth: Make) -> None:
-    sample = ToSphere(3)(with_truth(rig))
-    result = ShuffleCameras(torch.Generator().manual_seed(3))(sample)
-    again = ToSphere(3).images(with_truth(rig)["images"], result["rig"])
-    assert torch.equal(result["images"], again)
-    assert not torch.equal(result["images"], sample["images"])
-
-
 def test_the_same_seed_augments_alike(rig: CameraRig, with_truth: Make) -> None:
     sample = with_truth(rig)
     state = torch.get_rng_state()
@@ -179,8 +171,6 @@ def test_wrong_order_and_wrong_images_are_refused(rig: CameraRig, with_truth: Ma
     sample = with_truth(rig)
     with pytest.raises(ArgumentError, match="belongs before ToSphere"):
         Compose(ToSphere(3), RandomShift())(sample)
-    with pytest.raises(ArgumentError, match="belongs after ToSphere"):
-        ShuffleCameras()(sample)
     sample["images"]["cam2"] = torch.zeros(3, 10, 10)
     with pytest.raises(ShapeError, match=r"images\['cam2'\]: expected \(h, w\) = \(50, 48\)"):
         ToSphere(3)(sample)

@@ -23,7 +23,6 @@ from sphericalvision.data import (
     RotateFisheye,
     RotateFivefold,
     SampleView,
-    ShuffleCameras,
     ToSphere,
     collate_samples,
     write_omnistereo,
@@ -65,7 +64,6 @@ TURNS = {
     "yaw on the grid": lambda: RandomYaw(Icosphere(LEVEL), same_on_batch=True),
     "any yaw": lambda: RandomYaw(Icosphere(LEVEL), angles="any", same_on_batch=True),
     "any rotation": lambda: RandomSphereRotation(Icosphere(LEVEL), same_on_batch=True),
-    "shuffled": ShuffleCameras,
 }
 
 
@@ -131,19 +129,6 @@ def test_colours_change_where_something_was_seen_and_nowhere_else(entry: str, ma
     assert (changed[entry].movedim(1, -1)[seen] != 0).all()
     assert (changed[entry].movedim(1, -1)[~seen] == 0).all()
     assert (augment({entry: grey})[entry] != 0).all()  # without the entry, everything was seen
-
-
-def test_cameras_are_shuffled_with_all_that_belongs_to_them(masked: CameraRig) -> None:
-    pixels = torch.stack([*pixels_seen(masked).values()])
-    sample = sphere_sample(masked) | {
-        "fisheye": pixels[:, None].expand(-1, 3, -1, -1).float(),
-        "fisheye_seen": pixels,
-    }
-    result = ShuffleCameras(torch.Generator().manual_seed(3))(sample)
-    assert result["rig"].names != masked.names
-    assert torch.equal(result["seen"], ToSphere(LEVEL).seen(result["rig"]))
-    assert torch.equal(result["fisheye_seen"], torch.stack([*pixels_seen(result["rig"]).values()]))
-    assert torch.equal(result["fisheye"][:, 0] == 1, result["fisheye_seen"])
 
 
 def test_turned_cameras_have_seen_what_their_new_masks_say(masked: CameraRig) -> None:

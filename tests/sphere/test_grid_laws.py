@@ -14,12 +14,8 @@ from sphericalvision import sphere
 from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import (
-    Cubemap,
-    Equirectangular,
     Healpix,
-    Resample,
     SphereGrid,
-    healpix_pool,
     resample,
     resample_mask,
 )
@@ -289,83 +285,3 @@ def test_directions_in_half_precision_are_where_they_say(name: str, kind: torch.
         grid.sample(values, directions), grid.sample(values, directions.float()), rtol=0, atol=0
     )
     assert torch.equal(grid.nearest(directions), grid.nearest(directions.float()))
-
-
-PARTITIONS = [name for name in WHOLE if name != "tangent"]  # whose patches overlap
-
-
-@pytest.mark.parametrize("source", PARTITIONS)
-@pytest.mark.parametrize("target", PARTITIONS)
-def test_conservative_resampling_keeps_integrals(source: str, target: str) -> None:
-    """Any values, white noise too, up and down in scale; constants stay, and nothing is overshot."""
-    rotation = some_rotation(1)
-    one, other = make(source, 2 if source < target else 1), make(target, 1 if source < target else 2)
-    noise = torch.randn(2, *one.shape, dtype=DOUBLE, generator=torch.Generator().manual_seed(2))
-    found = resample(noise, one, other, rotation, mode="conservative")
-    before = (noise * one.solid_angles).flatten(1).sum(1)
-    after = (found * other.solid_angles).flatten(1).sum(1)
-    torch.testing.assert_close(after, before, rtol=0, atol=1e-11)
-    assert found.amax() <= noise.amax() + 1e-12
-    assert found.amin() >= noise.amin() - 1e-12
-    constant = resample(torch.ones_like(noise), one, other, rotation, mode="conservative")
-    torch.testing.assert_close(constant, torch.ones_like(constant), rtol=0, atol=1e-12)
-
-
-def test_conservative_resampling_is_a_mean_over_what_a_cell_holds() -> None:
-    """Where cells nest: the pyramid of HEALPix, and rows and columns of a panorama two by two."""
-    values = torch.randn(3, 12 * 64, dtype=DOUBLE, generator=torch.Generator().manual_seed(2))
-    grids = [Healpix(nside, dtype=DOUBLE) for nside in (8, 4)]
-    found = resample(values, *grids, mode="conservative")
-    torch.testing.assert_close(found, healpix_pool(values), rtol=0, atol=1e-12)
-    fine, coarse = (Equirectangular(height, 2 * height, dtype=DOUBLE) for height in (12, 6))
-    image = torch.rand(1, 12, 24, dtype=DOUBLE, generator=torch.Generator().manual_seed(2))
-    weighted = (image * fine.solid_angles).unflatten(-1, (12, 2)).sum(-1).unflatten(-2, (6, 2)).sum(-2)
-    found = resample(image, fine, coarse, mode="conservative")
-    torch.testing.assert_close(found, weighted / coarse.solid_angles, rtol=0, atol=1e-12)
-
-
-def test_conservative_resampling_of_many_values_in_single_precision() -> None:
-    """Each of twelve cells holds thousands of values, and its mean is as near as the type allows."""
-    to_few = Resample(Equirectangular(192, 384), Icosphere(0), mode="conservative")
-    constant = to_few(torch.full((1, 192, 384), 0.7))
-    torch.testing.assert_close(constant, torch.full((1, 12), 0.7), rtol=1e-6, atol=0)
-
-
-def test_conservative_resampling_takes_masks_and_gradients() -> None:
-    ico, panorama = Icosphere(2, dtype=DOUBLE), Equirectangular(9, 18, dtype=DOUBLE)
-    values = torch.rand(2, *ico.shape, dtype=DOUBLE, requires_grad=True)
-    found = Resample(ico, panorama, mode="conservative")(values)
-    (gradient,) = torch.autograd.grad((found * panorama.solid_angles).sum(), values)
-    torch.testing.assert_close(gradient, ico.solid_angles.expand(2, -1), rtol=1e-10, atol=0)
-    mask = ico.vertices[:, 1] < 0  # only the upper half may be used
-    masked = resample(
-        torch.where(mask, 1.0, 7.0)[None].double(), ico, panorama, mode="conservative", mask=mask
-    )
-    assert (masked[0, :4] - 1).abs().max() < 1e-12
-    assert not resample_mask(ico, panorama, mode="conservative", mask=mask)[-3:].any()
-
-
-COARSE: dict[str, SphereGrid] = {
-    **{f"equirectangular {h} x {w}": Equirectangular(h, w, DOUBLE) for h, w in ((1, 2), (4, 8), (7, 5), (9, 17))},
-    "equirectangular 12 x 24": Equirectangular(12, 24, DOUBLE),
-    **{f"cubemap {size}": Cubemap(size, dtype=DOUBLE) for size in (1, 2, 5)},
-    **{f"healpix {nside}": Healpix(nside, dtype=DOUBLE) for nside in (1, 3)},
-    **{f"icosphere {level}": Icosphere(level, dtype=DOUBLE) for level in (0, 1)},
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("source", COARSE)
-@pytest.mark.parametrize("target", COARSE)
-def test_conservative_resampling_of_few_cells(source: str, target: str) -> None:
-    """Whatever the sizes, integrals stay, constants stay, and the grids' own areas do."""
-    ours, theirs = COARSE[source], COARSE[target]
-    values = torch.rand(1, *ours.shape, dtype=DOUBLE, generator=torch.Generator().manual_seed(0))
-    areas = ours.solid_angles.clone(), theirs.solid_angles.clone()
-    found = resample(torch.cat((values, torch.ones_like(values))), ours, theirs, mode="conservative")
-    total = float(areas[1].sum() / areas[0].sum())
-    assert (found[0] * areas[1]).sum().item() == pytest.approx(
-        (values * areas[0]).sum().item() * total, rel=1e-7
-    )
-    torch.testing.assert_close(found[1], torch.ones(theirs.shape, dtype=DOUBLE), rtol=0, atol=1e-7)
-    assert torch.equal(ours.solid_angles, areas[0])
-    assert torch.equal(theirs.solid_angles, areas[1])

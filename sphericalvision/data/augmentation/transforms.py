@@ -18,7 +18,7 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sphere.intake import Intake
 
-__all__ = ["Compose", "RandomShift", "ShuffleCameras", "ToSphere"]
+__all__ = ["Compose", "RandomShift", "ToSphere"]
 
 Sample = dict[str, Any]
 
@@ -218,37 +218,3 @@ class RandomShift:
 
     def __repr__(self) -> str:
         return f"RandomShift(scale={self.scale})"
-
-
-class ShuffleCameras:
-    """Bring the cameras of images and rig into a random order, the same for both; belongs after ``ToSphere``.
-
-    What each camera saw moves with its images: ``images`` with ``seen``, ``fisheye`` with ``fisheye_seen``.
-
-    Args:
-        generator: source of randomness; torch's global one when not given.
-
-    Examples:
-        >>> from sphericalvision.cameras import ring_rig
-        >>> sample = {"images": torch.rand(3, 3, 42), "seen": torch.ones(3, 42, dtype=torch.bool), "rig": ring_rig(3)}
-        >>> sorted(ShuffleCameras()(sample)["rig"].names)
-        ['cam1', 'cam2', 'cam3']
-    """
-
-    by_camera = ("images", "seen", "fisheye", "fisheye_seen")
-
-    def __init__(self, generator: torch.Generator | None = None) -> None:
-        self.generator = generator
-
-    def __call__(self, sample: Sample) -> Sample:
-        images = sample["images"]
-        if not isinstance(images, Tensor):
-            raise ArgumentError(
-                "ShuffleCameras: expected images as one tensor (n, 3, V); it belongs after ToSphere"
-            )
-        order = torch.randperm(len(images), generator=self.generator)
-        ordered = {key: sample[key][order] for key in self.by_camera if key in sample}
-        return {**sample, **ordered, "rig": sample["rig"].permuted(order.tolist())}
-
-    def __repr__(self) -> str:
-        return "ShuffleCameras()"

@@ -41,16 +41,13 @@ def resample(
         mode: ``"bilinear"`` interpolates between the nearest values (linear in each triangle of an icosphere), and
             aliases where the target is coarser. ``"area"`` is the mean over each cell of the target where the target
             is coarser, and bilinear elsewhere. ``"nearest"`` creates no new values: for labels, of any dtype. It takes
-            the value whose cell contains the direction, see ``SphereGrid.nearest``. ``"conservative"``, between grids
-            of the same part of the sphere, preserves the integral up to rounding: every value is distributed to the
-            cells that its own cell overlaps, by area. Results are means, so they stay within the range of the values;
-            they look blocky where the target is finer.
+            the value whose cell contains the direction, see ``SphereGrid.nearest``.
         fill: value where the source or the target does not see, see ``resample_mask``.
         mask: ``(*b, *source_shape)``, values that may be used (bool, or nonzero). Results are means over usable values.
 
     Returns:
-        ``(*b, c, *target_shape)`` of the values' dtype; differentiable in values and, but for ``"nearest"`` and
-        ``"conservative"``, in the rotation and a camera's intrinsics.
+        ``(*b, c, *target_shape)`` of the values' dtype; differentiable in values and, except for ``"nearest"``,
+        in the rotation and a camera's intrinsics.
 
     Raises:
         ShapeError: if values or mask do not lie on the source, or the rotation is no 3 x 3 matrix.
@@ -105,7 +102,7 @@ class Resample(LookupModule):
         source: where values are given.
         target: where they are wanted.
         rotation: ``(3, 3)`` or ``(*b, 3, 3)``, target_from_source.
-        mode: ``"bilinear"``, ``"nearest"``, ``"area"`` or ``"conservative"``.
+        mode: ``"bilinear"``, ``"nearest"`` or ``"area"``.
         fill: value where nothing is seen.
         mask: ``(*b, *source_shape)``, usable values of every call.
         dtype: of the tables; by default that of the grids' directions and the cameras' intrinsics.

@@ -26,12 +26,11 @@ from sphericalvision.geometry.lookup import ImageLookup, Lookup, PlacesInSingleP
 from sphericalvision.geometry.masked_lookup import MaskedLookup
 from sphericalvision.sphere.grids.equirectangular import Equirectangular
 from sphericalvision.sphere.grids.sphere_grid import SphereGrid
-from sphericalvision.sphere.resampling.conservative import overlaps
 from sphericalvision.sphere.resampling.supersampling import cell_samples, cell_widths, grid_shape
 
 __all__ = ["RESAMPLE_MODES", "make_lookup", "nearest_index", "resample_tables"]
 
-RESAMPLE_MODES = ("bilinear", "nearest", "area", "conservative")
+RESAMPLE_MODES = ("bilinear", "nearest", "area")
 """What ``resample`` knows."""
 
 
@@ -63,9 +62,6 @@ def resample_tables(
         return MaskedLookup(everything, source_shape, target_shape, mode, fill, None, usable)
     if rotation is not None:
         rotation = rotation.to(device=device, dtype=dtype)
-    if mode == "conservative":
-        conservative = overlaps(source, target, rotation, device)
-        return MaskedLookup(conservative, source_shape, target_shape, mode, fill, None, usable)
     middles = _samples(source, target, rotation, dtype, device)
     groups = cell_groups(_spans(source, target, middles), _image_size(source)) if mode == "area" else []
     averages = any(group.level or group.samples != (1, 1) for group in groups)

@@ -124,6 +124,7 @@ class DepthNetwork(RemembersArguments):
             rig's radius, as a network needs that was trained with rigs of one radius; ``"training"``, that of the
             training, if rigs of many radii were in it; ``"scene"``, a little nearer than the nearest surface, where
             nothing was trained.
+        bounds: largest whole numbers of hyper-parameters in files of weights, by name; usual ones without.
         takes_hints: whether ``predict`` and ``training_loss`` take a ``DepthHint``; others refuse one.
 
     Raises:
@@ -158,6 +159,7 @@ class DepthNetwork(RemembersArguments):
     level: int
     image_channels: tuple[int, ...] = (3,)
     min_depth_follows: ClassVar[Literal["rig", "training", "scene"]] = "rig"
+    bounds: ClassVar[Mapping[str, int]] = {}
     takes_hints: ClassVar[bool] = False
 
     def __init__(

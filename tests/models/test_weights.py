@@ -182,7 +182,7 @@ def test_a_network_may_have_much_that_is_not_weights(tmp_path: Path, monkeypatch
     path = save_weights(net, tmp_path / "net.safetensors")
     assert same_weights(load_weights(path), net)
     monkeypatch.setattr(OmniMVS, "bounds", {"num_hypotheses": 199})
-    with pytest.raises(FileFormatError, match="num_hypotheses.*199.*200"):
+    with pytest.raises(FileFormatError, match=r"num_hypotheses.*199.*200"):
         load_weights(path)
 
 

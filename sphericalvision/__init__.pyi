@@ -6,6 +6,7 @@ from . import data as data
 from . import geometry as geometry
 from . import icosphere as icosphere
 from . import io as io
+from . import kernels as kernels
 from . import losses as losses
 from . import metrics as metrics
 from . import models as models

@@ -14,11 +14,13 @@ from pathlib import Path
 
 import pytest
 
-from sphericalvision import core, extensions
+from sphericalvision import extensions
+from sphericalvision import kernels as kernels_module
 from sphericalvision.cameras import read_rig, ring_rig, save_rig
 from sphericalvision.cameras.calibration import formats
-from sphericalvision.core import ArgumentError, MissingCompilerError, kernels, way_of_kernels
+from sphericalvision.core import ArgumentError, MissingCompilerError
 from sphericalvision.crown.fast import build
+from sphericalvision.kernels import kernel_mode, kernels
 from sphericalvision.recipes.app import running
 
 BODIES = {
@@ -74,23 +76,23 @@ def test_blocks_of_many_threads_leave_nothing_open() -> None:
     def work() -> None:
         for _ in range(3000):
             with kernels("plain"), kernels("reference"):
-                way_of_kernels()
+                kernel_mode()
 
     threads = [threading.Thread(target=work) for _ in range(8)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert core._open_blocks == []
+    assert kernels_module._open_blocks == []
     with kernels("auto"):
         with kernels("plain"), kernels("auto"):
             pass
-        assert way_of_kernels() == "auto"
+        assert kernel_mode() == "auto"
         with kernels("plain"):
             inner = kernels("auto")
             with inner:
                 pass
-            assert way_of_kernels() == "plain"  # the equal block outside is another one
+            assert kernel_mode() == "plain"  # the equal block outside is another one
 
 
 @pytest.fixture

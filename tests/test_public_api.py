@@ -24,6 +24,7 @@ PACKAGES = (
     "sphericalvision.data",
     "sphericalvision.geometry",
     "sphericalvision.icosphere",
+    "sphericalvision.kernels",
     "sphericalvision.losses",
     "sphericalvision.metrics",
     "sphericalvision.models",

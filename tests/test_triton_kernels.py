@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from sphericalvision import core
+from sphericalvision import kernels
 from tests.processes import python
 
 MEDIANS = """
@@ -30,7 +30,7 @@ for number in (3, 20):
 """
 PATHS = """
 import torch
-from sphericalvision.core import kernels
+from sphericalvision.kernels import kernels
 from sphericalvision.geometry.means_by_id import mean_by_id
 from sphericalvision.sweep import semi_global_smoothing
 from sphericalvision.sweep.smoothing import _jump_penalties, smoothing_paths
@@ -140,8 +140,8 @@ def test_where_kernels_do_not_run_operators_of_torch_do(
     runs: bool,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(core, "find_spec", lambda _: package)
-    monkeypatch.setattr(core.shutil, "which", lambda _: compiler)
+    monkeypatch.setattr(kernels, "find_spec", lambda _: package)
+    monkeypatch.setattr(kernels.shutil, "which", lambda _: compiler)
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda _: capability)
-    assert core.runs_triton.__wrapped__(torch.device("cuda")) is runs
-    assert core.runs_triton.__wrapped__(torch.device("cpu")) is False
+    assert kernels.runs_triton.__wrapped__(torch.device("cuda")) is runs
+    assert kernels.runs_triton.__wrapped__(torch.device("cpu")) is False

@@ -17,7 +17,8 @@ from torch.utils.data import DataLoader
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture import Predictor, align_rig
 from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
-from sphericalvision.core import ArgumentError, SphericalVisionError, reference_kernels
+from sphericalvision.core import ArgumentError, SphericalVisionError
+from sphericalvision.kernels import reference_kernels
 from sphericalvision.models import (
     ConstantDepth,
     DepthNetwork,

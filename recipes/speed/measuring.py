@@ -21,10 +21,11 @@ import torch
 from torch import Tensor
 from torch.utils.benchmark import timer
 
-from sphericalvision.core import MissingCompilerError, check_choice, kernels
+from sphericalvision.core import MissingCompilerError, check_choice
 from sphericalvision.crown import HexConv2d
 from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.io.files import write_bytes
+from sphericalvision.kernels import kernels
 from sphericalvision.recipes.app.cli import console
 from sphericalvision.recipes.evaluation.records import write_json
 from sphericalvision.recipes.evaluation.tables import Table

@@ -16,10 +16,11 @@ from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.utils.flop_counter import FlopCounterMode
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.core import check_choice, kernels, reference_kernels
+from sphericalvision.core import check_choice
 from sphericalvision.crown import Crown, CrownConv2d, CrownConv3d, HexConv2d, HexConv3d, to_crown
 from sphericalvision.data import ToSphere
 from sphericalvision.icosphere import icosphere_vertices, num_icosphere_vertices
+from sphericalvision.kernels import kernels, reference_kernels
 from sphericalvision.models import DepthNetwork, IcoSweepNet, SemiGlobalSweep
 from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.speed.measuring import (

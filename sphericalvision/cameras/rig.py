@@ -34,8 +34,6 @@ from sphericalvision.core import (
     check_last_dim,
     check_tensor,
     check_type,
-    full_precision,
-    in_one_graph,
     short_repr,
 )
 from sphericalvision.geometry import (
@@ -44,6 +42,7 @@ from sphericalvision.geometry import (
     transform_from_axis_angle,
 )
 from sphericalvision.geometry.directions import has_numbers, holds
+from sphericalvision.kernels import full_precision, prefer_fused
 
 __all__ = ["CameraRig", "check_images_of", "ring_rig"]
 
@@ -481,7 +480,7 @@ class CameraRig:
         rotations = self.world_from_camera[..., :3, :3].to(rays[0]).unbind(-3)
         rays = [ray @ rotation for ray, rotation in zip(rays, rotations, strict=True)]
         alike = all(camera._signature() == cameras[0]._signature() for camera in cameras)
-        if alike and in_one_graph(rays[0].device):  # one batch, in place of as many operators for each
+        if alike and prefer_fused(rays[0].device):  # one batch, in place of as many operators for each
             together = type(cameras[0]).stack(cameras).project(torch.stack(rays))
             projections = [Projection(*one) for one in zip(*together, strict=True)]
         else:

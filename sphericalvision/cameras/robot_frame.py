@@ -11,7 +11,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import ArgumentError, full_precision
+from sphericalvision.core import ArgumentError
+from sphericalvision.kernels import full_precision
 
 __all__ = ["OPTICAL_FROM_ROS", "placed", "read_pose", "tilt_of"]
 

@@ -14,8 +14,9 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.checks import check_poses
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import ArgumentError, check_choice, full_precision
+from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.io.times import SAME_TIME, are_counts, nearest_in_time, seconds
+from sphericalvision.kernels import full_precision
 
 __all__ = ["UPS", "Trajectory", "upright_turn"]
 

@@ -22,8 +22,9 @@ from sphericalvision.capture.constant_folding import with_constants_folded
 from sphericalvision.capture.pipeline import in_precision
 from sphericalvision.capture.predictor import Predictor
 from sphericalvision.capture.result import positive
-from sphericalvision.core import ArgumentError, MissingCompilerError, check_choice, kernels
+from sphericalvision.core import ArgumentError, MissingCompilerError, check_choice
 from sphericalvision.io.files import atomic_write, write_bytes
+from sphericalvision.kernels import kernels
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sphere.intake import signed
 from sphericalvision.sweep import inverse_depth_from_index

@@ -22,9 +22,9 @@ from sphericalvision.capture.preparation.preparation import (
     differs,
     needed,
 )
-from sphericalvision.core import full_precision
 from sphericalvision.geometry.directions import angle_from_axis
 from sphericalvision.icosphere import icosphere_vertices
+from sphericalvision.kernels import full_precision
 from sphericalvision.models import DepthNetwork
 from sphericalvision.sphere.intake import as_colors, signed
 from sphericalvision.sweep import DepthEstimate, DepthHint

@@ -16,10 +16,11 @@ from torch import Tensor
 from sphericalvision.cameras import Camera, CameraRig
 from sphericalvision.cameras.checks import check_rigid
 from sphericalvision.capture.preparation.preparation import Compensation, Correction
-from sphericalvision.core import ArgumentError, ShapeError, check_tensor, check_type, full_precision
+from sphericalvision.core import ArgumentError, ShapeError, check_tensor, check_type
 from sphericalvision.geometry.lookup import weighted_sums
 from sphericalvision.geometry.surfaces import distance_along
 from sphericalvision.icosphere import Icosphere, locate
+from sphericalvision.kernels import full_precision
 from sphericalvision.models import DepthNetwork
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import inverse_depth_from_index

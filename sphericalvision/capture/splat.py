@@ -33,9 +33,10 @@ from sphericalvision.cameras.remapping.lookup import pixels_a_radian
 from sphericalvision.capture.pinhole_twins import pinhole_twins
 from sphericalvision.capture.points import SurfacePoints, grid_faces, hangs_between, surface_normals
 from sphericalvision.capture.result import Depth
-from sphericalvision.core import ArgumentError, full_precision
+from sphericalvision.core import ArgumentError
 from sphericalvision.io.files import part_of_name
 from sphericalvision.io.images import read_pages, write_image, write_mask, write_pages
+from sphericalvision.kernels import full_precision
 from sphericalvision.viz.pointcloud import save_point_cloud
 
 __all__ = ["SplatScene"]

@@ -7,13 +7,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sphericalvision.core import ShapeError, check_dtype, uses_reference_kernels
+from sphericalvision.core import ShapeError, check_dtype
 from sphericalvision.crown.conv import CrownConv2d, CrownConv3d, convolve_crown
 from sphericalvision.crown.fast import normalize
 from sphericalvision.crown.layout import Crown, check_crown, from_crown, to_crown
 from sphericalvision.crown.norm import _CrownBatchNorm, crown_norm
 from sphericalvision.crown.places import check_values
 from sphericalvision.crown.recompute import RecomputedModule
+from sphericalvision.kernels import uses_reference_kernels
 
 __all__ = ["CrownBlock3d", "CrownConvNorm2d", "CrownConvNorm3d", "convolve_twice", "crown_block3d"]
 

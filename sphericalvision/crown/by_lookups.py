@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Crowns and hexagonal convolutions by few large lookups: the way of devices and compilers (``core.in_one_graph``)."""
+"""Crowns and hexagonal convolutions by few large lookups: see ``kernels.prefer_fused``."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int, Num
 from torch import Tensor
 
-from sphericalvision.core import by_triton, constant_table
 from sphericalvision.crown.hexpad import hex_pad
 from sphericalvision.crown.places import level_of_rectangles, place_ids
 from sphericalvision.crown.taps import COL_TAPS, neighbor_taps
 from sphericalvision.geometry.means_by_id import MeansById, mean_by_id, means_by_id
 from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.topology import coarse_vertex_ids
+from sphericalvision.kernels import use_triton
+from sphericalvision.tables import constant_table
 
 __all__ = ["fold_by_lookups", "hex_conv_by_lookups", "unfold_by_lookups"]
 
@@ -124,7 +125,7 @@ def hex_conv_by_lookups(
     tables = _tap_tables(level_from_num_vertices(values.shape[-1]), stride, rings, values.device)
     given = [tensor for tensor in (values, weight, bias, residual) if tensor is not None]
     exact = all(tensor.dtype == torch.float32 for tensor in given)
-    if by_triton(*given) and exact and not torch.is_autocast_enabled("cuda"):
+    if use_triton(*given) and exact and not torch.is_autocast_enabled("cuda"):
         from sphericalvision.crown.hexconv_triton import hex_conv_kernel  # Triton is not everywhere
 
         return hex_conv_kernel(values, weight, bias, tables.around, tables.taps, rectify, residual)

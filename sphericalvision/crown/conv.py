@@ -6,16 +6,11 @@ from __future__ import annotations
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.core import (
-    ArgumentError,
-    ShapeError,
-    check_dtype,
-    check_tensor,
-    in_one_graph,
-)
+from sphericalvision.core import ArgumentError, ShapeError, check_dtype, check_tensor
 from sphericalvision.crown.fast import convolve_rectangles, convolve_vertices
 from sphericalvision.crown.layout import Crown, check_crown, to_crown
 from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, HexagonWeights, planar_kernels
+from sphericalvision.kernels import prefer_fused
 
 __all__ = ["CrownConv2d", "CrownConv3d", "convolve_crown", "crown_conv2d", "crown_conv3d"]
 
@@ -112,7 +107,7 @@ def convolve_crown(
         if pair is not None:
             return Crown(*pair)
         crown = to_crown(crown)
-    kernels = planar_kernels(weight) if in_one_graph(crown.col.device) else (None, None)
+    kernels = planar_kernels(weight) if prefer_fused(crown.col.device) else (None, None)
     col, row = (
         convolve_rectangles(rectangles, weight, taps, bias, stride, relu=relu, kernel=kernel)
         for rectangles, taps, kernel in zip(crown, (COL_TAPS, ROW_TAPS), kernels, strict=True)

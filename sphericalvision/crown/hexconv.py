@@ -38,15 +38,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.core import (
-    ArgumentError,
-    ShapeError,
-    check_choice,
-    check_dtype,
-    check_tensor,
-    constant_table,
-    in_one_graph,
-)
+from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_dtype, check_tensor
 from sphericalvision.crown.by_lookups import Rings, hex_conv_by_lookups
 from sphericalvision.crown.fast import convolve_charts, convolve_rectangles
 from sphericalvision.crown.hexpad import fill_charts, hex_pad, ring_values, vertices_of_charts
@@ -54,6 +46,8 @@ from sphericalvision.crown.places import check_values
 from sphericalvision.crown.taps import COL_TAPS, HexagonWeights
 from sphericalvision.icosphere import icosphere_vertices, level_from_num_vertices
 from sphericalvision.icosphere.topology import coarse_vertex_ids, vertex_at
+from sphericalvision.kernels import prefer_fused
+from sphericalvision.tables import constant_table
 
 __all__ = ["HexConv2d", "HexConv3d", "hex_conv2d", "hex_conv3d", "north_fraction"]
 
@@ -151,7 +145,7 @@ def hex_conv2d(
         torch.Size([1, 8, 42])
     """
     _check_conv(values, weight, 2, stride, north)
-    if north is None and in_one_graph(values.device):
+    if north is None and prefer_fused(values.device):
         return hex_conv_by_lookups(values, weight, bias, stride, CHART_RINGS, rectify, residual)
     result = _hex_conv2d(values.relu() if rectify else values, weight, bias, stride, north)
     return result if residual is None else residual + result
@@ -160,7 +154,7 @@ def hex_conv2d(
 def _hex_conv2d(
     values: Tensor, weight: Tensor, bias: Tensor | None, stride: int, north: Tensor | None
 ) -> Tensor:
-    if north is not None and in_one_graph(values.device):
+    if north is not None and prefer_fused(values.device):
         both = hex_conv_by_lookups(values, *_two_orientations(weight, bias), stride, NORTH_RINGS)
         fraction = north.to(both)  # of another type than the values in autocast
         if stride == 2:

@@ -21,10 +21,10 @@ import torch
 from jaxtyping import Float, Int32
 from torch import Tensor
 
-from sphericalvision.core import constant_table
 from sphericalvision.crown.places import check_values, own_charts
 from sphericalvision.crown.unfolding import empty_as, fill_north_and_east, fold_north_and_east
 from sphericalvision.icosphere import level_from_num_vertices
+from sphericalvision.tables import constant_table
 
 __all__ = ["fill_charts", "hex_pad", "ring_ids", "ring_values", "vertices_of_charts"]
 

@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float, Num
 from torch import Tensor
 
-from sphericalvision.core import ArgumentTypeError, ShapeError, check_floating, in_one_graph
+from sphericalvision.core import ArgumentTypeError, ShapeError, check_floating
 from sphericalvision.crown.by_lookups import fold_by_lookups, unfold_by_lookups
 from sphericalvision.crown.fast import slices_pay
 from sphericalvision.crown.places import (
@@ -28,6 +28,7 @@ from sphericalvision.crown.places import (
     values_at_places,
 )
 from sphericalvision.crown.unfolding import mean_over_places, unfold
+from sphericalvision.kernels import prefer_fused
 
 __all__ = ["Crown", "crown_map", "crown_relu", "exchange", "from_crown", "to_crown"]
 
@@ -107,7 +108,7 @@ def to_crown(values: Num[Tensor, "B C *N V"]) -> Crown:
                 [ 2., 11.]])
     """
     level = check_values(values)
-    if in_one_graph(values.device):
+    if prefer_fused(values.device):
         return Crown(*as_rectangles(unfold_by_lookups(values), level))
     return Crown(*(unfold(values) if slices_pay(values) else values_at_places(values)))
 
@@ -129,7 +130,7 @@ def from_crown(crown: Crown) -> Float[Tensor, "B C *N V"]:
     """
     check_crown(crown)
     check_floating("crown", crown.col)
-    if in_one_graph(crown.col.device):
+    if prefer_fused(crown.col.device):
         return fold_by_lookups(*crown)
     if slices_pay(crown.col):
         return mean_over_places(*crown)

@@ -8,9 +8,11 @@ import torch.nn.functional as F
 from torch import Tensor
 from torch.nn.modules.batchnorm import _BatchNorm
 
-from sphericalvision.core import ShapeError, check_choice, check_dtype, constant_table, in_one_graph
+from sphericalvision.core import ShapeError, check_choice, check_dtype
 from sphericalvision.crown.fast import normalize
 from sphericalvision.crown.layout import Crown, check_crown, crown_map, crown_relu
+from sphericalvision.kernels import prefer_fused
+from sphericalvision.tables import constant_table
 
 __all__ = ["CrownBatchNorm2d", "CrownBatchNorm3d", "CrownInstanceNorm2d", "CrownInstanceNorm3d", "crown_norm"]
 
@@ -166,7 +168,7 @@ class _CrownInstanceNorm(_CrownBatchNorm):
         batch = crown.col.shape[0]  # not `len`, which would make it a constant of an exported program
         if not batch:
             return crown
-        if in_one_graph(crown.col.device):  # a group for each channel
+        if prefer_fused(crown.col.device):  # a group for each channel
             together = torch.cat([rectangles.transpose(1, 2).flatten(-2) for rectangles in crown], 2)
             normalized = F.group_norm(together, self.num_features, self.weight, self.bias, self.eps)
             normalized = normalized.relu() if relu else normalized

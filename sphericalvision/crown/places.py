@@ -7,9 +7,10 @@ import torch
 from jaxtyping import Int, Num, Shaped
 from torch import Tensor
 
-from sphericalvision.core import ShapeError, check_tensor, constant_table
+from sphericalvision.core import ShapeError, check_tensor
 from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.topology import chart_vertex_ids, vertex_at
+from sphericalvision.tables import constant_table
 
 __all__ = [
     "as_rectangles",

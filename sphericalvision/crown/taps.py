@@ -14,7 +14,9 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, by_triton, check_counts, constant_table
+from sphericalvision.core import ArgumentError, check_counts
+from sphericalvision.kernels import use_triton
+from sphericalvision.tables import constant_table
 
 __all__ = [
     "COL_TAPS",
@@ -144,7 +146,7 @@ def convolve(
 
 def repeat_border(images: Float[Tensor, "B C *N h w"]) -> Float[Tensor, "B C *N_padded h+2 w+2"]:
     """Continue images ``(B, C, h, w)`` or volumes ``(B, C, N, h, w)`` by one more of their border values all around."""
-    if by_triton(images, differentiable=True) and images.numel() >= LARGE:
+    if use_triton(images, differentiable=True) and images.numel() >= LARGE:
         from sphericalvision.crown.border_triton import RepeatBorder  # Triton is not everywhere
 
         return RepeatBorder.apply(images)  # type: ignore[no-any-return]

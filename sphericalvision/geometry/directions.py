@@ -16,7 +16,8 @@ import torch
 from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, check_floating, check_last_dim, check_tensor, in_one_graph
+from sphericalvision.core import ArgumentError, check_floating, check_last_dim, check_tensor
+from sphericalvision.kernels import prefer_fused
 
 __all__ = [
     "angle_from_axis",
@@ -207,7 +208,7 @@ def moderate_lengths(points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch
     squared = torch.addcmul(torch.addcmul(x * x, y, y), z, z)
     shortest, longest = 1e-10, 1e19
     if (
-        not in_one_graph(points.device) and has_numbers(points) and points.numel()
+        not prefer_fused(points.device) and has_numbers(points) and points.numel()
     ):  # others do not wait for it
         least, most = squared.aminmax()
         if bool(least > shortest) and bool(most < longest):

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.core import full_precision
+from sphericalvision.kernels import full_precision
 
 __all__ = ["LeastSquares", "solve_least_squares"]
 

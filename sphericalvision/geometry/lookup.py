@@ -21,15 +21,9 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor, nn
 
-from sphericalvision.core import (
-    ShapeError,
-    check_choice,
-    check_floating,
-    check_last_dim,
-    check_tensor,
-    uses_reference_kernels,
-)
+from sphericalvision.core import ShapeError, check_choice, check_floating, check_last_dim, check_tensor
 from sphericalvision.geometry.directions import broadcast_shapes, components, from_components
+from sphericalvision.kernels import uses_reference_kernels
 
 __all__ = [
     "ImageLookup",

@@ -7,15 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.core import (
-    ArgumentError,
-    ShapeError,
-    check_floating,
-    check_last_dim,
-    check_tensor,
-    full_precision,
-)
+from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_last_dim, check_tensor
 from sphericalvision.geometry.directions import broadcast_shapes, holds
+from sphericalvision.kernels import full_precision
 
 __all__ = [
     "axis_angle_from_transform",

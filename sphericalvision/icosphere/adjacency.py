@@ -11,8 +11,8 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from sphericalvision.core import constant_table, copied
 from sphericalvision.icosphere.topology import chart_vertex_ids, icosphere_faces, num_icosphere_vertices
+from sphericalvision.tables import constant_table, copied
 
 __all__ = [
     "icosphere_edges",

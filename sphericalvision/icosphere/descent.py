@@ -10,9 +10,9 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.core import full_precision
 from sphericalvision.icosphere.mesh import icosahedron_rectangles
 from sphericalvision.icosphere.topology import icosphere_faces, vertex_at
+from sphericalvision.kernels import full_precision
 
 __all__ = ["Triangles", "barycentric_weights", "base_corners", "base_places", "convex", "descend", "triple"]
 

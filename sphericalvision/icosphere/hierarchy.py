@@ -7,8 +7,9 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, constant_table, copied
+from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere.topology import check_level, vertex_at
+from sphericalvision.tables import constant_table, copied
 
 __all__ = ["icosphere_face_children", "icosphere_face_parents", "icosphere_vertex_parents"]
 

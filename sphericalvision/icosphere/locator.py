@@ -15,7 +15,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, check_last_dim, in_one_graph, uses_reference_kernels
+from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.geometry.directions import moderate_lengths
 from sphericalvision.icosphere.descent import barycentric_weights, convex, descend
 from sphericalvision.icosphere.fast.triangle_table import (
@@ -26,6 +26,7 @@ from sphericalvision.icosphere.fast.triangle_table import (
 )
 from sphericalvision.icosphere.mesh import icosphere_vertices
 from sphericalvision.icosphere.topology import check_level, icosphere_faces, num_icosphere_vertices
+from sphericalvision.kernels import prefer_fused, uses_reference_kernels
 
 __all__ = ["TriangleLocator", "chunk_size", "fast_wing_open", "locate"]
 
@@ -40,7 +41,7 @@ def chunk_size(device: torch.device) -> int:
         >>> chunk_size(torch.device("cpu")) >= 1 << 17
         True
     """
-    on_cpu = device.type == "cpu" and not in_one_graph(device)
+    on_cpu = device.type == "cpu" and not prefer_fused(device)
     # torch gives a thread at least 32768 numbers.
     return max(CHUNK, torch.get_num_threads() << 15) if on_cpu else CHUNK_ON_DEVICE
 
@@ -49,7 +50,7 @@ def fast_wing_open() -> bool:
     """Whether triangles may be found by tables here and now.
 
     Examples:
-        >>> from sphericalvision.core import reference_kernels
+        >>> from sphericalvision.kernels import reference_kernels
         >>> with reference_kernels():
         ...     fast_wing_open()
         False
@@ -102,7 +103,7 @@ class TriangleLocator:
                 unit = F.normalize(rays.T, dim=-1)
                 descent = descend(unit, self.level)
                 return descent.numbers(self.level), barycentric_weights(unit, descent.corners).T
-            if in_one_graph(rays.device):
+            if prefer_fused(rays.device):
                 return find_in_few_steps(rays, self._table)
             triangles, shares = find_triangles(rays, self._table)
             shares = shares.clamp_(min=0)

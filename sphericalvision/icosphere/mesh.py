@@ -10,8 +10,9 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, constant_table, copied
+from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere.topology import check_level
+from sphericalvision.tables import constant_table, copied
 
 __all__ = ["icosahedron_rectangles", "icosphere_vertices"]
 

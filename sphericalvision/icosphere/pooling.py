@@ -7,14 +7,7 @@ import torch
 from jaxtyping import Float, Num
 from torch import Tensor, nn
 
-from sphericalvision.core import (
-    ArgumentError,
-    ShapeError,
-    check_choice,
-    check_floating,
-    check_tensor,
-    constant_table,
-)
+from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_floating, check_tensor
 from sphericalvision.icosphere.adjacency import icosphere_neighbors
 from sphericalvision.icosphere.areas import icosphere_solid_angles
 from sphericalvision.icosphere.hierarchy import icosphere_vertex_parents
@@ -24,6 +17,7 @@ from sphericalvision.icosphere.topology import (
     level_from_num_vertices,
     num_icosphere_vertices,
 )
+from sphericalvision.tables import constant_table
 
 __all__ = ["IcospherePool", "IcosphereUpsample", "icosphere_pool", "icosphere_upsample"]
 

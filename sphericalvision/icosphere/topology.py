@@ -19,7 +19,8 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError, check_type, constant_table, copied
+from sphericalvision.core import ArgumentError, ShapeError, check_type
+from sphericalvision.tables import constant_table, copied
 
 __all__ = [
     "MAX_LEVEL",

@@ -11,7 +11,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, constant_table
+from sphericalvision.core import ArgumentError
 from sphericalvision.crown import HexConv2d
 from sphericalvision.icosphere import (
     icosphere_neighbors,
@@ -22,6 +22,7 @@ from sphericalvision.icosphere.hierarchy import icosphere_vertex_parents
 from sphericalvision.models.hexunet import HexResidualBlock
 from sphericalvision.models.logit_fusion import FusedLogits, HintedIndex, tried_index, two_modes
 from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth
+from sphericalvision.tables import constant_table
 
 __all__ = ["CandidateRefinement", "Candidates", "RefinedIndex", "candidates_of", "finer_logits", "with_sky"]
 

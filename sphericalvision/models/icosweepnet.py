@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
-from sphericalvision.core import ArgumentError, in_one_graph
+from sphericalvision.core import ArgumentError
 from sphericalvision.crown import (
     Crown,
     CrownAvgPool2d,
@@ -31,6 +31,7 @@ from sphericalvision.crown.layout import crown_map
 from sphericalvision.crown.recompute import RecomputedModule, recompute_if_large, recomputes
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.icosphere.topology import check_level
+from sphericalvision.kernels import prefer_fused
 from sphericalvision.models.depth_network import DepthNetwork
 from sphericalvision.models.weights.registry import register_network
 from sphericalvision.sweep import (
@@ -234,7 +235,7 @@ def camera_by_camera(
     norms = [part for part in extractor.modules() if _takes_statistics_of_the_batch(part)]
     grouped = [norm for norm in norms if isinstance(norm, CrownBatchNorm2d) and norm.momentum is not None]
     # What is recomputed would be by other groups; and compilers make one graph of it anyway.
-    at_once = in_one_graph(images.device) and not torch.compiler.is_compiling() and not recomputes(extractor)
+    at_once = prefer_fused(images.device) and not torch.compiler.is_compiling() and not recomputes(extractor)
     if grouped and len(grouped) == len(norms) and at_once:
         number = images.shape[1]
         try:

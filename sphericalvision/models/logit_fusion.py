@@ -11,9 +11,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sphericalvision.core import constant_table
 from sphericalvision.models.hexunet import HexUNet
 from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth
+from sphericalvision.tables import constant_table
 
 __all__ = [
     "FusedLogits",

@@ -11,7 +11,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, constant_table
+from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import (
     Icosphere,
     icosphere_upsample,
@@ -54,6 +54,7 @@ from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth, appeara
 from sphericalvision.sweep.ring_mean import coarser_images, ids_of_coarser_level
 from sphericalvision.sweep.semi_global import SemiGlobalTables, check_tables
 from sphericalvision.sweep.visibility import check_seen, seen_in_view
+from sphericalvision.tables import constant_table
 
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig

@@ -26,7 +26,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, check_type, full_precision
+from sphericalvision.core import ArgumentError, check_type
+from sphericalvision.kernels import full_precision
 from sphericalvision.scenes.registry import scene_recipe, under_other_skies
 from sphericalvision.scenes.rendering.render import ray_depth, render_camera, render_directions, render_rig
 from sphericalvision.scenes.rendering.scene import Scene, pack_lamps

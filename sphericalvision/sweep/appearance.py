@@ -7,8 +7,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.core import ShapeError, full_precision
+from sphericalvision.core import ShapeError
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
+from sphericalvision.kernels import full_precision
 
 __all__ = ["local_appearance"]
 

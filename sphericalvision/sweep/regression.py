@@ -9,7 +9,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.core import ShapeError, check_floating, check_tensor, constant_table
+from sphericalvision.core import ShapeError, check_floating, check_tensor
+from sphericalvision.tables import constant_table
 
 __all__ = ["DepthEstimate", "depth_estimate", "soft_argmax", "soft_argmax_confidence"]
 

@@ -7,10 +7,10 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from sphericalvision.core import constant_table
 from sphericalvision.geometry.lookup import weighted_rows
 from sphericalvision.icosphere import icosphere_neighbors, level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.topology import coarse_vertex_ids
+from sphericalvision.tables import constant_table
 
 __all__ = ["coarser_images", "ids_of_coarser_level", "ring_mean"]
 

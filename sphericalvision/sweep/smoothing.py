@@ -9,10 +9,12 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError, by_triton, constant_table, in_one_graph
+from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry.means_by_id import MeansById, mean_by_id, means_by_id
 from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.lines import icosphere_lines
+from sphericalvision.kernels import prefer_fused, use_triton
+from sphericalvision.tables import constant_table
 
 __all__ = ["SmoothingPaths", "semi_global_smoothing", "smoothing_paths"]
 
@@ -74,7 +76,7 @@ def semi_global_smoothing(
     planes = cost.transpose(0, 1)  # (N, B, V): a step compares whole planes of all paths at once
     paths = smoothing_paths(level, lead, cost.device)
     jumps = _jump_penalties(guide, paths, small_penalty, large_penalty, contrast)
-    if by_triton(cost, jumps) and cost.dtype == jumps.dtype == torch.float32:
+    if use_triton(cost, jumps) and cost.dtype == jumps.dtype == torch.float32:
         from sphericalvision.sweep.smoothing_triton import path_costs_kernel  # Triton is not everywhere
 
         arrived = path_costs_kernel(cost, paths.ids, jumps, small_penalty, paths.first)
@@ -86,7 +88,7 @@ def semi_global_smoothing(
     for step, jump in zip(steps[1:], jumps.unbind(), strict=True):
         reached.append(_extended(reached[-1], step, small_penalty, jump))
     results = reached[paths.first :]
-    if in_one_graph(cost.device):
+    if prefer_fused(cost.device):
         return mean_by_id(torch.stack(results, 2).flatten(2), paths.arrivals).transpose(0, 1)
     # On a CPU one result after the other costs a fraction of lookups in as many planes as there are hypotheses.
     total = torch.zeros_like(planes)
@@ -99,7 +101,7 @@ def semi_global_smoothing(
 def _extended(reached: Tensor, cost: Tensor, small_penalty: float, jump: Tensor) -> Tensor:
     """Costs ``(N, B, P)`` of P paths extended by a vertex of costs ``(N, B, P)``."""
     best = reached.amin(0)
-    if in_one_graph(cost.device):  # the same but for rounding, by an operator less for each of many steps
+    if prefer_fused(cost.device):  # the same but for rounding, by an operator less for each of many steps
         return cost + _least(reached - best, small_penalty, jump)
     return cost + (_least(reached, small_penalty, best + jump) - best)
 

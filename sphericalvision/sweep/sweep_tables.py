@@ -13,8 +13,9 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.core import check_type, in_one_graph
+from sphericalvision.core import check_type
 from sphericalvision.icosphere import TriangleLocator
+from sphericalvision.kernels import prefer_fused
 
 __all__ = ["SweepTables", "sweep_tables"]
 
@@ -138,7 +139,7 @@ def _tables_of_one_rig(
     differentiable = torch.is_grad_enabled() and any(
         values.requires_grad for values in (points, inverse_depths, offsets)
     )
-    at_once = in_one_graph(points.device) and not differentiable
+    at_once = prefer_fused(points.device) and not differentiable
     for hypotheses, vertices in _blocks(*shape, locator.chunk_size):
         with torch.no_grad():
             block = hypotheses, vertices

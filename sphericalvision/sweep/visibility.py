@@ -9,9 +9,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_tensor, in_one_graph
+from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_tensor
 from sphericalvision.geometry.directions import in_single_precision
 from sphericalvision.icosphere import icosphere_vertices
+from sphericalvision.kernels import prefer_fused
 
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
@@ -72,4 +73,4 @@ def one_at_a_time(values: Tensor) -> bool:
 
     Other devices and compilers want few large operations.
     """
-    return not in_one_graph(values.device) and values.device.type == "cpu" and len(values) > 0
+    return not prefer_fused(values.device) and values.device.type == "cpu" and len(values) > 0

@@ -14,8 +14,9 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_tensor, full_precision
+from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_tensor
 from sphericalvision.io.files import atomic_write, write_bytes
+from sphericalvision.kernels import full_precision
 
 __all__ = ["PointCloud", "point_colors", "save_point_cloud"]
 

@@ -26,8 +26,9 @@ from sphericalvision.capture.export import (
     rig_tables,
 )
 from sphericalvision.capture.preparation.preparation import AS_IT_IS
-from sphericalvision.core import ArgumentError, MissingCompilerError, kernels
+from sphericalvision.core import ArgumentError, MissingCompilerError
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.kernels import kernels
 from sphericalvision.models import DepthNetwork, IcoSweepNet, OmniMVS, RefinedSweepNet
 from sphericalvision.scenes import make_scene, render_rig
 from sphericalvision.sphere import Equirectangular

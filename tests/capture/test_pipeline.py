@@ -19,7 +19,8 @@ from sphericalvision.capture.pipeline import Pipeline
 from sphericalvision.capture.preparation import preparation
 from sphericalvision.capture.preparation.photometry import eliminated
 from sphericalvision.capture.preparation.preparation import Preparation, bilateral
-from sphericalvision.core import ArgumentError, kernels
+from sphericalvision.core import ArgumentError
+from sphericalvision.kernels import kernels
 from sphericalvision.models import IcoSweepNet, OmniMVS, WinnerTakesAll, pretrained
 from sphericalvision.scenes import make_scene, render_rig
 from sphericalvision.scenes.disturbances import vignetted

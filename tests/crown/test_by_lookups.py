@@ -11,11 +11,12 @@ import torch
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from sphericalvision.core import constant_table, copied, in_one_graph, kernels
 from sphericalvision.crown import Crown, CrownBatchNorm3d, CrownBlock3d, from_crown, hex_conv2d, to_crown
 from sphericalvision.crown.hexconv import north_fraction
 from sphericalvision.crown.norm import crown_norm
 from sphericalvision.icosphere import icosphere_vertices
+from sphericalvision.kernels import kernels, prefer_fused
+from sphericalvision.tables import constant_table, copied
 
 
 def compare(function: Callable[[], Tensor]) -> None:
@@ -27,11 +28,11 @@ def compare(function: Callable[[], Tensor]) -> None:
 
 def test_where_few_large_operators_are() -> None:
     cpu, other = torch.device("cpu"), torch.device("meta")
-    assert [in_one_graph(device) for device in (cpu, other)] == [False, True]
+    assert [prefer_fused(device) for device in (cpu, other)] == [False, True]
     with kernels("graph"):
-        assert in_one_graph(cpu)
+        assert prefer_fused(cpu)
     with kernels("reference"):
-        assert not in_one_graph(other)
+        assert not prefer_fused(other)
 
 
 def test_tables_are_made_once_and_stay_what_they_are() -> None:

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor, nn
 
 from sphericalvision.cameras import ring_rig
-from sphericalvision.core import kernels
 from sphericalvision.crown import (
     CrownBatchNorm2d,
     CrownBatchNorm3d,
@@ -36,6 +35,7 @@ from sphericalvision.crown import (
     to_crown,
 )
 from sphericalvision.crown.fast import door
+from sphericalvision.kernels import kernels
 from sphericalvision.models import IcoSweepNet
 from sphericalvision.models.icosweepnet import CostRegularizer, FeatureExtractor
 from tests.crown.compiler import needs_compiler

@@ -9,7 +9,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.core import kernels
 from sphericalvision.crown import (
     CrownConv2d,
     HexConv2d,
@@ -24,6 +23,7 @@ from sphericalvision.crown import (
 from sphericalvision.crown.hexpad import hex_pad
 from sphericalvision.icosphere import icosphere_neighbors, icosphere_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.topology import coarse_vertex_ids, vertex_at
+from sphericalvision.kernels import kernels
 from tests.values import random_values
 
 # The gap and where the ring starts, as the documentation states it for valence five: (gap, tap, towards).

@@ -10,9 +10,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.core import reference_kernels
 from sphericalvision.geometry import bilinear_sample
 from sphericalvision.geometry.lookup import ImageLookup, Lookup, taps_across_edges, weighted_sums
+from sphericalvision.kernels import reference_kernels
 
 DOUBLE = torch.float64
 SIZE = (5, 8)

@@ -9,8 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.core import kernels, reference_kernels
 from sphericalvision.icosphere import Icosphere, TriangleLocator, locate
+from sphericalvision.kernels import kernels, reference_kernels
 
 DTYPES = [torch.float32, torch.float64]
 

@@ -7,9 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.core import kernels, reference_kernels
 from sphericalvision.icosphere import Icosphere, TriangleLocator, icosphere_faces, icosphere_vertices, locate
 from sphericalvision.icosphere.fast.triangle_table import triangle_table
+from sphericalvision.kernels import kernels, reference_kernels
 
 
 def on_edges_and_corners(level: int, dtype: torch.dtype) -> Tensor:

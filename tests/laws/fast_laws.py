@@ -15,7 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from sphericalvision.core import kernels
+from sphericalvision.kernels import kernels
 
 __all__ = [
     "FastCase",

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.core import kernels
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.kernels import kernels
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import IcoSweepNet, state_dict_from_reference
 from sphericalvision.sweep import SphereSweep, SweepTables, soft_argmax, sphere_sweep

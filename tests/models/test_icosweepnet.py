@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import ring_rig
-from sphericalvision.core import kernels
 from sphericalvision.crown import Crown, from_crown, to_crown
 from sphericalvision.crown.fast import door
+from sphericalvision.kernels import kernels
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import IcoSweepNet
 from sphericalvision.models.icosweepnet import CostRegularizer, camera_by_camera

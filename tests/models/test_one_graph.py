@@ -15,8 +15,8 @@ from torch.utils._pytree import tree_leaves, tree_map_only
 
 from sphericalvision.cameras import ring_rig
 from sphericalvision.capture.graphs import NoWaiting
-from sphericalvision.core import kernels
 from sphericalvision.icosphere import num_icosphere_vertices
+from sphericalvision.kernels import kernels
 from sphericalvision.models import DepthNetwork, IcoSweepNet, OmniMVS, pretrained
 from tests.processes import python
 

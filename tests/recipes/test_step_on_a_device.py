@@ -12,8 +12,8 @@ import torch
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.graphs import NoWaiting
-from sphericalvision.core import kernels
 from sphericalvision.icosphere import num_icosphere_vertices
+from sphericalvision.kernels import kernels
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import RefinedSweepNet
 from sphericalvision.models.refinedsweepnet import PRIOR

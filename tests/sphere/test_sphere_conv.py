@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from sphericalvision.core import reference_kernels
+from sphericalvision.kernels import reference_kernels
 from sphericalvision.sphere import (
     Equirectangular,
     SphereConv2d,

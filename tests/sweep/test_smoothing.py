@@ -10,8 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.core import kernels
 from sphericalvision.icosphere import Icosphere, icosphere_neighbors
+from sphericalvision.kernels import kernels
 from sphericalvision.sweep import semi_global_smoothing
 from sphericalvision.sweep.smoothing import smoothing_paths
 

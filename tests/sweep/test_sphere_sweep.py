@@ -11,9 +11,10 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.core import ShapeError, reference_kernels
+from sphericalvision.core import ShapeError
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.kernels import reference_kernels
 from sphericalvision.sweep import SphereSweep, depth_from_index, inverse_depth_hypotheses
 
 DOUBLE = torch.float64

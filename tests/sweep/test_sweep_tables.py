@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.core import reference_kernels
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.icosphere import Icosphere, icosphere_vertices, locate
+from sphericalvision.kernels import reference_kernels
 from sphericalvision.sweep import PanoramaSweep, SphereSweep, SweepTables, inverse_depth_hypotheses
 from sphericalvision.sweep.sweep_tables import sweep_tables
 

@@ -10,8 +10,8 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.field_of_view import focal_length_on_axis
 from sphericalvision.cameras.model_alone import lifted
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
-from sphericalvision.core import full_precision
 from sphericalvision.geometry.directions import broadcast_shapes
+from sphericalvision.kernels import full_precision
 
 __all__ = [
     "image_edges",

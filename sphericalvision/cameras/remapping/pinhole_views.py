@@ -14,8 +14,9 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.cameras.remapping.remap import remap
-from sphericalvision.core import ArgumentError, ShapeError, check_tensor, full_precision
+from sphericalvision.core import ArgumentError, ShapeError, check_tensor
 from sphericalvision.geometry.directions import holds
+from sphericalvision.kernels import full_precision
 
 __all__ = ["checked_angles", "perspective_views", "rotation_from_yaw_pitch_roll"]
 

@@ -20,14 +20,9 @@ from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.cameras.remapping.lookup import pixels_a_radian
 from sphericalvision.cameras.remapping.remap import Remap, remap, remap_mask
 from sphericalvision.cameras.rig import CameraRig, check_images_of
-from sphericalvision.core import (
-    ArgumentError,
-    check_choice,
-    check_last_dim,
-    check_type,
-    full_precision,
-)
+from sphericalvision.core import ArgumentError, check_choice, check_last_dim, check_type
 from sphericalvision.geometry import normalize
+from sphericalvision.kernels import full_precision
 
 __all__ = ["PAIR_KINDS", "RectifiedPair", "rectified_pairs"]
 

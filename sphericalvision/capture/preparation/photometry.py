@@ -24,10 +24,11 @@ from sphericalvision.cameras.masks import resized_mask
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.remapping.lookup import image_edges, pixels_a_radian
 from sphericalvision.cameras.rig import CameraRig, check_images_of
-from sphericalvision.core import ArgumentError, by_triton, in_one_graph
+from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.directions import angle_from_axis
 from sphericalvision.geometry.lookup import ImageLookup
 from sphericalvision.icosphere import icosphere_vertices
+from sphericalvision.kernels import prefer_fused, use_triton
 
 __all__ = [
     "LightEstimate",
@@ -447,7 +448,7 @@ def median_of_known(values: Float[Tensor, "rows number"]) -> Float[Tensor, " row
         >>> median_of_known(torch.tensor([[3.0, math.nan, 1.0, 2.0], [math.nan] * 4]))
         tensor([2., 0.])
     """
-    if by_triton(values):
+    if use_triton(values):
         from sphericalvision.capture.preparation import light_triton  # Triton is not everywhere
 
         return light_triton.nanmedian_kernel(values).nan_to_num(0.0).to(values.dtype)
@@ -463,12 +464,12 @@ def solved(matrix: Float[Tensor, "*b n n"], right: Float[Tensor, "*b n"]) -> Flo
         >>> solved(torch.tensor([[2.0, 1.0], [1.0, 2.0]]), torch.tensor([3.0, 0.0]))
         tensor([ 2., -1.])
     """
-    if by_triton(matrix, right):
+    if use_triton(matrix, right):
         from sphericalvision.capture.preparation import light_triton  # Triton is not everywhere
 
         if right.shape[-1] <= light_triton.LARGEST_SYSTEM:
             return light_triton.elimination_kernel(matrix, right)
-    if in_one_graph(matrix.device):
+    if prefer_fused(matrix.device):
         return eliminated(matrix, right)
     return torch.linalg.solve(matrix, right)
 

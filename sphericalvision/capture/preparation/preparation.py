@@ -26,7 +26,8 @@ from sphericalvision.capture.preparation.photometry import (
     PhotometricCalibration,
     median_of_known,
 )
-from sphericalvision.core import ArgumentError, by_triton, in_one_graph
+from sphericalvision.core import ArgumentError
+from sphericalvision.kernels import prefer_fused, use_triton
 
 __all__ = [
     "AS_IT_IS",
@@ -209,7 +210,7 @@ class Compensator:
         shrink = {self._shrink[name] for name in images}
         alike = not self._usable and len(shrink) == 1
         alike = alike and all(image.shape == first.shape for image in images.values())
-        if alike and in_one_graph(first.device):  # a quarter of the operations, if there are four cameras
+        if alike and prefer_fused(first.device):  # a quarter of the operations, if there are four cameras
             together, amounts = _smoothed(torch.cat(list(images.values())), None, *shrink)
             parts = together.split(len(first))
             return dict(zip(images, parts, strict=True)), amounts.view(len(images), -1).mT
@@ -233,7 +234,7 @@ def needed(condition: Bool[Tensor, "*any"]) -> bool:
 
     A CPU leaves out what nothing asks for. A device would have to be waited for to know, and computes it.
     """
-    return in_one_graph(condition.device) or bool(condition.any())
+    return prefer_fused(condition.device) or bool(condition.any())
 
 
 def compensated(
@@ -301,7 +302,7 @@ def _smoothed(image: Tensor, inside: Tensor | None, shrink: int = 1) -> tuple[Te
     means = image.detach()
     if shrink > 1:
         means = F.avg_pool2d(means, shrink, ceil_mode=True)
-    filtered = _filtered_by_opencv if image.is_cpu and not in_one_graph(image.device) else bilateral
+    filtered = _filtered_by_opencv if image.is_cpu and not prefer_fused(image.device) else bilateral
     smooth = filtered(means, CONTRAST * noise / shrink)
     if shrink > 1:  # on the images there are as few passes as can be: they cost more than the filter
         change = (smooth - means).where(chosen, 0.0)
@@ -341,7 +342,7 @@ def bilateral(image: Float[Tensor, "b c h w"], deviation: Float[Tensor, " b"]) -
     height, width = image.shape[-2:]
     mode = "reflect" if min(height, width) > radius else "replicate"
     steepness = (-0.5 / deviation.square()).where(deviation > 0, 0.0).to(image.dtype)
-    if by_triton(image) and image.dtype == torch.float32 and mode == "reflect":
+    if use_triton(image) and image.dtype == torch.float32 and mode == "reflect":
         from sphericalvision.capture.preparation.bilateral_triton import (
             bilateral_kernel,  # Triton is not everywhere
         )

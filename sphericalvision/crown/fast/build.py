@@ -71,7 +71,7 @@ class _State:
 
 
 def operators_ready(way: str) -> bool:
-    """Whether operators are to be used in a way of ``core.kernels``; asked before each of them.
+    """Whether operators are to be used in a way of ``kernels``; asked before each of them.
 
     Raises:
         MissingCompilerError: with ``"require"``, if they cannot be had.

@@ -2,7 +2,7 @@
 """Where crowns choose how they are computed, and the one door to the operators in C++.
 
 Layers ask here, and are computed by torch where operators do not fit. Operators compute on a CPU, in the precision of
-the weights, at stride 1; under ``core.kernels("auto")`` in single precision once they are compiled, under ``"require"``
+the weights, at stride 1; under ``kernels("auto")`` in single precision once they are compiled, under ``"require"``
 wherever they can.
 """
 
@@ -16,12 +16,12 @@ from torch import Tensor
 from torch.nn.modules.batchnorm import _BatchNorm
 from torch.utils.checkpoint import checkpoint
 
-from sphericalvision.core import in_one_graph, uses_reference_kernels, way_of_kernels
 from sphericalvision.crown.fast.build import operators_ready
 from sphericalvision.crown.fast.convolution import hex_convolution, vertices_at_places
 from sphericalvision.crown.fast.normalization import crown_normalization
 from sphericalvision.crown.taps import ROW_TAPS, Taps, convolve
 from sphericalvision.icosphere import level_from_num_vertices
+from sphericalvision.kernels import kernel_mode, prefer_fused, uses_reference_kernels
 
 __all__ = [
     "convolve_charts",
@@ -38,8 +38,8 @@ Pair = tuple[Tensor, Tensor]
 
 
 def operators_in_use() -> bool:
-    """Whether ``core.kernels`` asks for operators in C++ here and now, and they are compiled."""
-    return operators_ready(way_of_kernels())
+    """Whether ``kernels`` asks for operators in C++ here and now, and they are compiled."""
+    return operators_ready(kernel_mode())
 
 
 def recomputation_pays(values: Float[Tensor, " ..."]) -> bool:
@@ -54,7 +54,7 @@ def slices_pay(values: Shaped[Tensor, " ..."]) -> bool:
     """Whether crowns are made by slices, on a CPU; the reference looks every vertex up, and so do graphs."""
     # Slices are a function of autograd of our own, which the transforms of torch.func do not know.
     transformed = torch._C._are_functorch_transforms_active()
-    in_torch = uses_reference_kernels() or in_one_graph(values.device)
+    in_torch = uses_reference_kernels() or prefer_fused(values.device)
     return values.device.type == "cpu" and not in_torch and not transformed
 
 
@@ -70,7 +70,7 @@ def _operators_fit(values: Float[Tensor, " ..."], weight: Float[Tensor, " ..."])
     if torch.compiler.is_exporting():  # programs that leave this package know the operators of torch alone
         return False
     # In double precision a vector takes two registers; operators serve there to be compared with the reference.
-    return (values.dtype == torch.float32 or way_of_kernels() == "require") and operators_in_use()
+    return (values.dtype == torch.float32 or kernel_mode() == "require") and operators_in_use()
 
 
 def convolve_rectangles(

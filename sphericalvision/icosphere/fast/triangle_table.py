@@ -17,11 +17,11 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.core import constant_table
 from sphericalvision.icosphere.descent import convex, descend
 from sphericalvision.icosphere.fast.octahedron import cell_centers, cell_numbers
 from sphericalvision.icosphere.mesh import icosphere_vertices
 from sphericalvision.icosphere.topology import icosphere_faces
+from sphericalvision.tables import constant_table
 
 __all__ = ["TriangleTable", "coefficients", "find_in_few_steps", "find_triangles", "triangle_table"]
 

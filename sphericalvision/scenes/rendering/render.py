@@ -16,7 +16,8 @@ from torch import Tensor
 
 from sphericalvision.cameras import Camera, CameraRig
 from sphericalvision.cameras.base import check_single
-from sphericalvision.core import ArgumentError, check_last_dim, check_tensor, check_type, full_precision
+from sphericalvision.core import ArgumentError, check_last_dim, check_tensor, check_type
+from sphericalvision.kernels import full_precision
 from sphericalvision.scenes.rendering.mesh_scene import MeshScene
 from sphericalvision.scenes.rendering.ray_packets import RAYS, RayPackets, packed
 from sphericalvision.scenes.rendering.raycast import chunk_size, trace

@@ -10,8 +10,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.core import uses_reference_kernels
 from sphericalvision.geometry.lookup import bilinear_sample, taps_across_edges, weighted_sums
+from sphericalvision.kernels import uses_reference_kernels
 from sphericalvision.sphere.fast.row_sums import RowSums, adjoint, conv_of_row_sums, row_sums
 
 __all__ = ["conv_in_rows", "read_pixels"]

@@ -9,10 +9,11 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from sphericalvision.cameras import PinholeCamera
-from sphericalvision.core import ArgumentError, check_counts, check_last_dim, full_precision
+from sphericalvision.core import ArgumentError, check_counts, check_last_dim
 from sphericalvision.geometry.directions import check_directions, from_components, moderate_lengths
 from sphericalvision.icosphere import icosphere_faces, icosphere_vertices, locate, num_icosphere_vertices
 from sphericalvision.icosphere.topology import check_level
+from sphericalvision.kernels import full_precision
 from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels
 from sphericalvision.sphere.grids.sphere_grid import GridModule, check_cells, check_values
 

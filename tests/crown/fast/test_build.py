@@ -13,9 +13,10 @@ from typing import Any
 import pytest
 import torch
 
-from sphericalvision.core import MissingCompilerError, kernels
+from sphericalvision.core import MissingCompilerError
 from sphericalvision.crown import HexConv2d
 from sphericalvision.crown.fast import build
+from sphericalvision.kernels import kernels
 
 V = 12
 

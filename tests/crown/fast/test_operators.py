@@ -8,11 +8,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from sphericalvision.core import kernels
 from sphericalvision.crown import HexConv2d
 from sphericalvision.crown.fast.convolution import hex_convolution
 from sphericalvision.crown.places import place_ids
 from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, Taps, planar_kernel, repeat_border
+from sphericalvision.kernels import kernels
 from tests.crown.compiler import needs_compiler
 
 pytestmark = needs_compiler

@@ -6,7 +6,6 @@ from __future__ import annotations
 import gc
 import importlib
 import os
-import sys
 from pathlib import Path
 
 import pytest
@@ -41,10 +40,6 @@ def pytest_collection_finish() -> None:
     """Keep modules and tests, millions of objects, out of the garbage collector's sight: they live until the end."""
     gc.freeze()
     gc.enable()
-    if "hydra" in sys.modules:
-        from tests import composing
-
-        composing.install()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -7,8 +7,10 @@ import difflib
 import os
 import re
 import sys
+import traceback
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any, NoReturn
 
 from hydra import compose
@@ -20,14 +22,16 @@ from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from sphericalvision.recipes.app.help import keys_of
 
-__all__ = ["override_message", "plain_errors", "refuse", "several_processes"]
+__all__ = ["FAILURE", "override_message", "plain_errors", "refuse", "report_failure", "several_processes"]
 
+FAILURE = "failed.txt"
+"""In the folder of a run of a sweep: why it failed."""
 PLUGINS = {"hydra/sweeper": "optuna", "hydra/launcher": "launchers"}
 """Groups of Hydra's own whose options are packages, and the extra that brings those of ours."""
 
 
 def refuse(message: str) -> NoReturn:
-    """Say what is wrong and exit with status 1."""
+    """Print what is wrong and exit with status 1."""
     print(f"\nError: {message}", file=sys.stderr)
     raise SystemExit(1) from None
 
@@ -42,17 +46,42 @@ def plain_errors() -> Iterator[None]:
         try:
             yield
         finally:
-            sys.stdout.flush()  # here, where a closed pipe is caught, and not when Python ends
-    except BrokenPipeError:  # whoever read, as in "... --help | head -1", has read enough
-        os.dup2(
-            os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
-        )  # what is left to be flushed goes nowhere
+            _flush()
+    except BrokenPipeError:  # the reader, as in "... --help | head -1", has read enough
         raise SystemExit(128 + 13) from None  # as a program that SIGPIPE ends
     except Exception as error:
         message = _message(error)
         if message is None or os.environ.get("HYDRA_FULL_ERROR") == "1":
             raise
         refuse(message)
+
+
+def _flush() -> None:
+    """Flush the output here, where a closed pipe or a full disk is reported, and not when Python ends."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        with suppress(OSError, ValueError):  # the buffer is still full, and goes nowhere
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise
+
+
+@contextmanager
+def report_failure(folder: Path) -> Iterator[None]:
+    """Print why a run of a sweep failed, and write it to its folder; the sweep goes on."""
+    file = folder / FAILURE
+    file.unlink(missing_ok=True)  # of an earlier sweep
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except Exception as error:
+        message = _message(error)
+        if message is None or os.environ.get("HYDRA_FULL_ERROR") == "1":
+            traceback.print_exception(error)
+        message = message or f"{type(error).__name__}: {error}"
+        file.write_text(message + "\n")
+        print(f"\nError: {message}", file=sys.stderr)
 
 
 def override_message(error: Exception, command: str, words: Sequence[str]) -> str:

@@ -11,6 +11,8 @@ from hydra.core.utils import JobReturn
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 
+from sphericalvision.recipes.app.errors import FAILURE
+
 __all__ = ["MultirunTable", "multirun_rows"]
 
 
@@ -38,21 +40,29 @@ class MultirunTable(Callback):
 
 
 def multirun_rows(folder: Path) -> list[dict[str, Any]]:
-    """A row for each run that has ended: its number, the words that differ between runs, its validation and test."""
+    """A row for each run that has ended: its number, the words that differ between runs, its errors or its failure."""
     runs = []
-    for path in folder.glob("*/validation.json"):
-        words = OmegaConf.load(path.parent / ".hydra" / "overrides.yaml")
-        (values,) = json.loads(path.read_text()).values()
-        if (tested := path.with_name("test.json")).is_file():
-            (others,) = json.loads(tested.read_text()).values()
-            values |= {f"test {name}": value for name, value in others.items()}
-        runs.append((path.parent.name, dict(str(word).split("=", 1) for word in words), values))
+    for path in folder.glob("*/.hydra/overrides.yaml"):
+        run = path.parent.parent
+        if values := _outcome(run):
+            words = map(str, OmegaConf.load(path))
+            runs.append((run.name, dict(word.split("=", 1) for word in words if "=" in word), values))
     runs.sort(key=lambda run: (len(run[0]), run[0]))
-    differ = [
-        key
-        for key in dict.fromkeys(k for _, words, _ in runs for k in words)
-        if len({words.get(key) for _, words, _ in runs}) > 1
-    ]
+    keys = dict.fromkeys(key for _, words, _ in runs for key in words)
+    varied = [key for key in keys if len({words.get(key) for _, words, _ in runs}) > 1]
     return [
-        {"run": name, **{key: words.get(key, "") for key in differ}, **values} for name, words, values in runs
+        {"run": name, **{key: words.get(key, "") for key in varied}, **values} for name, words, values in runs
     ]
+
+
+def _outcome(run: Path) -> dict[str, Any]:
+    """The errors of a run in validation and test, or why it failed; nothing of one that has not ended."""
+    if (failure := run / FAILURE).is_file():
+        return {"outcome": f"failed: {' '.join(failure.read_text().split())}"}
+    if not (validation := run / "validation.json").is_file():
+        return {}
+    (values,) = json.loads(validation.read_text()).values()
+    if (test := run / "test.json").is_file():
+        (errors,) = json.loads(test.read_text()).values()
+        values |= {f"test {name}": value for name, value in errors.items()}
+    return dict(values)

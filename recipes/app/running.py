@@ -6,42 +6,48 @@ from __future__ import annotations
 import atexit
 import gc
 import io
+import os
 import sys
 import tempfile
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
 from importlib import import_module
 from importlib.metadata import entry_points
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, Protocol
 
 import hydra
-from hydra import version
-
-# Hydra's own parts, as its public functions do not serve: ``hydra.main`` composes a configuration twice more, 0.2 s of
-# every start, and ``compose`` does not take a folder whose configs come before those of the package.
-from hydra._internal.callbacks import Callbacks
-from hydra._internal.hydra import Hydra
-from hydra._internal.utils import create_config_search_path
+from hydra import initialize_config_module
+from hydra.core.config_loader import ConfigLoader
+from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.global_hydra import GlobalHydra
-from hydra.core.utils import run_job
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.plugins import Plugins
+from hydra.core.utils import configure_log, run_job
 from hydra.errors import HydraException
+from hydra.plugins.search_path_plugin import SearchPathPlugin
 from hydra.types import HydraContext, RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from sphericalvision import __version__
-from sphericalvision.recipes.app.errors import override_message, plain_errors, refuse, several_processes
+from sphericalvision.recipes.app.errors import (
+    FAILURE,
+    override_message,
+    plain_errors,
+    refuse,
+    report_failure,
+    several_processes,
+)
 from sphericalvision.recipes.app.help import print_help
 from sphericalvision.recipes.app.words import first_values, quote_paths, read_words
 from sphericalvision.threads import prepare_threads
 
 __all__ = ["config_space", "run_command"]
 
-CONF = "pkg://sphericalvision.conf"
+CONF = "sphericalvision.conf"
 
 
 class Task(Protocol):
@@ -59,50 +65,90 @@ class Task(Protocol):
 
 def run_command(command: Task, words: list[str]) -> None:
     """Do what the words of a command line say: show help or version, refuse what does not fit, or let it work."""
-    config_name = command.name
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:  # closed by the caller: results are files
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 (open until the process ends)
+        elif isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # names that the terminal has no letters for
-    words = [*quote_paths(words), *search_path_of_plugins(config_name, words)]
-    if "--version" in words:
+    words = quote_paths(words)
+    line = read_words(words, refuse)
+    if line.version:
         with plain_errors():
             print(f"sphericalvision {__version__}")
         return
-    line = read_words(words, refuse)
     if line.config_dir is not None and not Path(line.config_dir).is_dir():
         refuse(f"--config-dir: {line.config_dir} is no folder (looked in {Path.cwd()})")
     warnings.formatwarning = _plain_warning
     work = partial(do_work, command, line.config_dir and Path(line.config_dir).absolute())
-    if line.cfg or line.info or line.hydra_help or line.shell_completion or line.config_path:
-        sys.argv[1:] = words  # the last: how Lightning starts the further processes of a training
-        hydra.main(version_base="1.3", config_path=CONF, config_name=config_name)(work)()
+    if line.cfg or line.info or line.shell_completion:
+        Plugins.instance().register(ConfigFolders)
+        sys.argv[1:] = words
+        hydra.main(version_base="1.3", config_path=f"pkg://{CONF}", config_name=command.name)(work)()
         return
-    with plain_errors(), config_space(line.config_dir) as space:
+    with plain_errors(), config_space(line.config_dir) as loader:
         if line.help:
-            print_help(config_name, line.overrides)
+            print_help(command.name, line.overrides)
             return
-        config = checked_config(space, command, line.overrides, line.multirun)
+        config = checked_config(loader, command, line.overrides, line.multirun)
         try_output(config)
         if line.multirun or config.hydra.mode == RunMode.MULTIRUN:
-            space.multirun(config_name, work, [*line.overrides, "hydra.mode=MULTIRUN"])
+            sweep(loader, command, line.overrides, work)
             return
         callbacks = Callbacks(config)
-        callbacks.on_run_start(config=config, config_name=config_name)
-        context = HydraContext(space.config_loader, callbacks)
+        callbacks.on_run_start(config=config, config_name=command.name)
+        context = HydraContext(loader, callbacks)  # type: ignore[arg-type]
         done = run_job(work, config, "hydra.run.dir", None, context)
-        callbacks.on_run_end(config=config, config_name=config_name, job_return=done)
+        callbacks.on_run_end(config=config, config_name=command.name, job_return=done)
         _ = done.return_value  # raises what the work has raised
 
 
-def checked_config(space: Hydra, command: Task, overrides: list[str], multirun: bool) -> DictConfig:
+def sweep(loader: ConfigLoader, command: Task, overrides: list[str], work: Callable[..., Any]) -> None:
+    """Run a command once for each value; exits with status 1 where runs have failed, after all have run."""
+    words = [*overrides, "hydra.mode=MULTIRUN"]
+    config = loader.load_configuration(command.name, words, RunMode.MULTIRUN)
+    callbacks = Callbacks(config)
+    context = HydraContext(loader, callbacks)  # type: ignore[arg-type]
+    configure_log(config.hydra.hydra_logging, config.hydra.verbose)
+    callbacks.on_multirun_start(config=config, config_name=command.name)
+    sweeper = Plugins.instance().instantiate_sweeper(hydra_context=context, task_function=work, config=config)
+    sweeper.sweep([str(word) for word in config.hydra.overrides.task])
+    callbacks.on_multirun_end(config=config, config_name=command.name)
+    folder = Path(config.hydra.sweep.dir)
+    if failed := sorted(path.parent.name for path in folder.glob(f"*/{FAILURE}")):
+        refuse(f"{len(failed)} of the runs failed: {', '.join(failed)} in {folder}, each with {FAILURE}")
+
+
+class Callbacks:
+    """The callbacks that a configuration names, called together."""
+
+    def __init__(self, config: DictConfig) -> None:
+        nodes = (config.hydra.callbacks or {}).values()
+        self._callbacks = [hydra.utils.instantiate(node) for node in nodes if node is not None]
+
+    def __getattr__(self, event: str) -> Callable[..., None]:
+        if not event.startswith("on_"):  # copies ask for other things
+            raise AttributeError(event)
+        return partial(self._call, event)
+
+    def _call(self, event: str, **arguments: Any) -> None:
+        for callback in self._callbacks:
+            getattr(callback, event)(**arguments)
+
+
+def checked_config(loader: ConfigLoader, command: Task, overrides: list[str], multirun: bool) -> DictConfig:
     """The configuration of a command line, of a multi-run's first run; exits where it does not fit."""
     try:
         words = first_values(overrides) if multirun else overrides
-        config = space.compose_config(command.name, words, RunMode.RUN, with_log_configuration=True)
+        config = loader.load_configuration(command.name, words, RunMode.RUN)
     except (HydraException, OmegaConfBaseException, ValueError) as error:
         refuse(override_message(error, command.name, overrides))
     if wrong := several_processes(config) if multirun else None:
         refuse(wrong)
+    if config.hydra.job.chdir:
+        refuse(
+            "hydra.job.chdir: files are named from the folder you are in; leave it out, output= is for results"
+        )
     import_torch()  # not before: a misspelt key does not wait for it
     from sphericalvision.recipes.app.checks import check_keys
 
@@ -126,7 +172,7 @@ def try_output(config: DictConfig) -> None:
             probe.flush()
     except OSError as error:
         refuse(
-            f"output: {output} is no folder to write to ({error.strerror}); free the disk, or choose another place"
+            f"output: cannot write to the folder {output} ({error.strerror}); free the disk, or choose another"
         )
 
 
@@ -147,53 +193,68 @@ def import_torch() -> None:
 
 
 def do_work(command: Task, own_files: Path | None, config: DictConfig) -> Any:
-    """Import the Python files next to the user's own configs, let the command work, and tell mistakes plainly."""
-    with plain_errors():
+    """Import the Python files next to the user's own configs, let the command work, and report mistakes plainly.
+
+    A run of a sweep that fails leaves the reason in its folder, and the others go on.
+    """
+    run = HydraConfig.get()
+    with report_failure(Path(run.runtime.output_dir)) if run.mode == RunMode.MULTIRUN else plain_errors():
         import_torch()
         if own_files is not None:
             from sphericalvision.recipes.app.own_files import import_own_files
 
             import_own_files(own_files)
         return command.work(config)
+    return None
+
+
+class ConfigFolders(SearchPathPlugin):
+    """Where else configs are: a folder of the user's, which comes first, and installed packages.
+
+    Attributes:
+        own: the folder of this command line.
+    """
+
+    own: Path | None = None
+
+    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
+        """Add them."""
+        if self.own is not None:
+            search_path.prepend(provider="command-line", path=f"file://{self.own}")
+        for package in conf_packages():
+            search_path.append(provider="sphericalvision.conf", path=f"pkg://{package}")
 
 
 @contextmanager
-def config_space(config_dir: str | None = None) -> Iterator[Hydra]:
+def config_space(config_dir: str | None = None) -> Iterator[ConfigLoader]:
     """Let Hydra find the configs of the package and of a folder of one's own."""
-    version.setbase("1.3")
-    search_path = create_config_search_path(CONF)
-    if config_dir is not None:
-        search_path.prepend(provider="command-line", path=f"file://{Path(config_dir).absolute()}")
-    outer = GlobalHydra.instance().hydra  # of a command that runs this one
+    Plugins.instance().register(ConfigFolders)
+    outer, outer_folder = GlobalHydra.instance().hydra, ConfigFolders.own  # of a command that runs this one
     GlobalHydra.instance().clear()
+    ConfigFolders.own = Path(config_dir).absolute() if config_dir is not None else None
     try:
-        yield Hydra.create_main_hydra2("sphericalvision", search_path)
+        with initialize_config_module(CONF, version_base="1.3"):
+            yield GlobalHydra.instance().config_loader()
     finally:
-        GlobalHydra.instance().hydra = outer
+        GlobalHydra.instance().hydra, ConfigFolders.own = outer, outer_folder
 
 
-def search_path_of_plugins(config_name: str, words: list[str]) -> list[str]:
-    """The word that adds configs of installed packages: their entry points ``sphericalvision.conf`` name a package.
-
-    It takes the place of the search path in the command's own file, so that has a part in it.
-    """
+@cache
+def conf_packages() -> tuple[str, ...]:
+    """Packages with configs: what the entry points ``sphericalvision.conf`` of installed packages name."""
     packages = []
     for point in sorted(entry_points(group="sphericalvision.conf")):
         try:
             import_module(point.value)
         except Exception as error:  # whatever a module of somebody else does when it is imported
             warnings.warn(
-                f"{point.value}: configs of an installed package, which cannot be imported "
-                f"({type(error).__name__}: {error}); all else goes on without them",
+                f"{point.value}: the configs of this installed package are not used, as it cannot be imported "
+                f"({type(error).__name__}: {error})",
                 stacklevel=2,
             )
         else:
-            packages.append(f"pkg://{point.value}")
-    if not packages or any(word.startswith("hydra.searchpath=") for word in words):
-        return []
-    text = (files("sphericalvision.conf") / f"{config_name}.yaml").read_text()
-    own = OmegaConf.select(OmegaConf.create(text), "hydra.searchpath") or []
-    return [f"hydra.searchpath=[{','.join([*own, *packages])}]"]
+            packages.append(point.value)
+    return tuple(packages)
 
 
 def _plain_warning(message: Any, *args: Any, **kwargs: Any) -> str:

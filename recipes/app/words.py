@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from hydra import compose
-from hydra._internal.utils import get_args_parser  # its flags have no public place
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
@@ -32,6 +31,11 @@ __all__ = [
 ]
 
 
+SHORT = {"--help": ("-h",), "--multirun": ("-m",), "--shell-completion": ("-sc",), "--run": ("-r",)}
+INFO = ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")
+"""What Hydra's ``--info`` prints."""
+
+
 def read_words(words: list[str], fail: Callable[[str], NoReturn]) -> argparse.Namespace:
     """Take a command line apart as Hydra does, with its overrides in ``overrides``.
 
@@ -44,13 +48,21 @@ def read_words(words: list[str], fail: Callable[[str], NoReturn]) -> argparse.Na
         >>> line.overrides, line.multirun, line.config_dir
         (['seed=0,1', 'level=3'], True, 'mine')
     """
-    parser = get_args_parser()
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("overrides", nargs="*")
+    for flag in ("--help", "--version", "--multirun", "--resolve", "--shell-completion", "--run"):
+        parser.add_argument(flag, *SHORT.get(flag, ()), action="store_true")
+    parser.add_argument("--config-dir", "-cd")
+    parser.add_argument("--cfg", "-c", choices=("job", "hydra", "all"))
+    parser.add_argument("--info", "-i", const="all", nargs="?", choices=INFO)
+    parser.add_argument("--package", "-p")
     parser.error = fail  # type: ignore[method-assign,assignment]
     line, unknown = parser.parse_known_intermixed_args(words)
     if unknown:
-        near = difflib.get_close_matches(unknown[0], parser._option_string_actions, 2)
-        hint = f"did you mean {' or '.join(near)}? " if near else ""
-        fail(f"{unknown[0]}: there is no such flag; {hint}The flags are told by --help")
+        flags = [f"--{name.replace('_', '-')}" for name in vars(line)]
+        similar = difflib.get_close_matches(unknown[0], flags, 2)
+        hint = f"did you mean {' or '.join(similar)}? " if similar else ""
+        fail(f"{unknown[0]}: unknown option; {hint}--help lists them")
     line.overrides = quote_paths(line.overrides)
     return line
 

@@ -193,9 +193,11 @@ def train_in(folder: Path, checkpoint: Path | None, config: DictConfig) -> dict[
         check_resume(checkpoint, module)
         begin_logging(config, trainer)
         print_config(config, folder)
-        if checkpoint is not None and config.resume == "auto" and checkpoint.name != "last.ckpt":
+        if config.resume == "auto":
             print(
-                f"There is no {checkpoint.with_name('last.ckpt')}; goes on from {checkpoint.name} beside it"
+                f"resume=auto: continues from {checkpoint}"
+                if checkpoint
+                else f"resume=auto: {folder} has no checkpoint, training starts from the beginning"
             )
         if changes:
             print(f"Goes on from {checkpoint} with other settings: {'; '.join(changes)}")

@@ -92,7 +92,11 @@ FAULTS = (
     ("evaluate", "checkpoint=icosweepnet-smal", "or one of icosweepnet-small"),
     ("render", "num_frame=3", "did you mean num_frames"),
     ("render", "output=x ~height", "height: "),
-    ("predict", f"{X} output={RIG.partition('=')[2]}", "output: capture/config.yaml is no folder"),
+    (
+        "predict",
+        f"{X} output={RIG.partition('=')[2]}",
+        "output: cannot write to the folder capture/config.yaml",
+    ),
     ("predict", f"{RIG} images", "images: expected KEY=VALUE"),
     ("predict", "=3", "--help"),
     ("predict", EACH, "images: no files of all 4 cameras"),

@@ -243,3 +243,21 @@ def test_wrong_values_are_told_before_anything_starts(failing: Callable[..., str
     assert "trainer.precision: expected one of" in failing("train", *words, "trainer.precision=17")
     (tmp_path / "cut.ckpt").write_bytes(b"PK cut")
     assert "cut.ckpt is not a checkpoint" in failing("train", *words, "resume=cut.ckpt")
+
+
+def test_a_sweep_goes_on_after_a_run_that_fails(
+    failing: Callable[..., str], tmp_path: Path, tiny_training: Words
+) -> None:
+    words = (*tiny_training, "trainer.max_steps=1", "logger=none", "output=sweep")
+    message = failing("train", "-m", *words, "model.norm=banana,instance")
+    assert "norm: expected one of" in message
+    assert "1 of the runs failed: 0" in message
+    failed, finished = json.loads((tmp_path / "sweep/sweep.json").read_text())
+    assert failed["outcome"].startswith("failed: norm: expected one of")
+    assert failed["model.norm"] == "banana"
+    assert finished["MAE"] > 0
+    assert "failed: norm" in (tmp_path / "sweep/sweep.md").read_text()
+
+
+def test_runs_stay_in_the_folder_that_they_are_started_in(failing: Callable[..., str]) -> None:
+    assert failing("train", "hydra.job.chdir=true").partition("Error: ")[2].startswith("hydra.job.chdir: ")

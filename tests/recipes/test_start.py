@@ -125,6 +125,17 @@ main()
     assert "pip install 'sphericalvision[recipes]'" in line
 
 
+@pytest.mark.parametrize("redirection", [">&-", "<&- >&- 2>&-", ">/dev/full"])
+def test_an_output_that_takes_nothing_gets_no_traceback(redirection: str) -> None:
+    program = (
+        "import sys; from sphericalvision.recipes.predict import main; sys.argv[1:] = ['--version']; main()"
+    )
+    command = f'{sys.executable} -c "{program}" {redirection}'
+    result = subprocess.run(command, shell=True, stderr=subprocess.PIPE, text=True, check=False)
+    assert result.returncode == ("full" in redirection)
+    assert len(result.stderr.strip().splitlines()) == ("full" in redirection)
+
+
 @pytest.mark.parametrize(
     "word", ["--help", "--version"]
 )  # more and less than Python holds back before it writes

@@ -38,8 +38,8 @@ from sphericalvision.core import (
     check_last_dim,
     check_tensor,
 )
+from sphericalvision.geometry.bilinear import bilinear_sample
 from sphericalvision.geometry.directions import broadcast_shapes, components, moderate_lengths
-from sphericalvision.geometry.lookup import bilinear_sample
 
 __all__ = ["Camera", "Projection", "Unprojection", "check_single"]
 

@@ -17,7 +17,7 @@ from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.remapping.lookup import image_edges, pixels_a_radian
 from sphericalvision.cameras.rig import CameraRig, check_images_of
 from sphericalvision.core import ArgumentError
-from sphericalvision.geometry.lookup import ImageLookup
+from sphericalvision.geometry.image_lookup import ImageLookup, image_lookup
 
 __all__ = ["SphereLookup", "sample_sphere", "sphere_lookups"]
 
@@ -64,7 +64,7 @@ def sphere_lookups(
         shrink = _shrinking(camera, directions) if antialias else 1
         small = (-(-camera.image_size[0] // shrink), -(-camera.image_size[1] // shrink))
         positions = ((pixels + 0.5) / shrink - 0.5).unsqueeze(-2)
-        places = ImageLookup(positions, seen.unsqueeze(-1), small, edges=image_edges(camera))
+        places = image_lookup(positions, seen.unsqueeze(-1), small, edges=image_edges(camera))
         lookups.append(SphereLookup(camera.image_size, seen, shrink, places))
     return lookups
 

@@ -1,8 +1,8 @@
+from .bilinear import bilinear_sample as bilinear_sample
 from .directions import angle_from_axis as angle_from_axis
 from .directions import directions_from_longitude_latitude as directions_from_longitude_latitude
 from .directions import longitude_latitude_from_directions as longitude_latitude_from_directions
 from .directions import normalize as normalize
-from .lookup import bilinear_sample as bilinear_sample
 from .transforms import invert_transform as invert_transform
 from .transforms import transform_from_axis_angle as transform_from_axis_angle
 from .transforms import transform_from_quaternion as transform_from_quaternion

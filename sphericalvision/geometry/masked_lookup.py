@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A lookup of values some of which may not be used, what stands where none was found, and the module around it."""
+"""Lookups with a mask of usable values and a value for results without any, and the module around them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class MaskedLookup(PlacesInSinglePrecision):
         fill: value where nothing is found.
         valid: ``(*g, P)`` where something is seen; everywhere if not given.
         usable: ``(*b, *source_shape)``, values that may be used; all if not given.
-        whole: whether the weights of what is seen sum to one, so that results without a mask are means as they are.
+        whole: True if the weights of what is seen sum to one already, so that no normalisation is needed.
     """
 
     valid: Tensor | None

@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 from sphericalvision.geometry import bilinear_sample
-from sphericalvision.geometry.lookup import ImageLookup, Lookup, taps_across_edges, weighted_sums
+from sphericalvision.geometry.image_lookup import image_lookup, taps_across_edges
+from sphericalvision.geometry.lookup import Lookup, weighted_sums
 from sphericalvision.kernels import reference_kernels
 
 DOUBLE = torch.float64
@@ -59,9 +60,9 @@ def test_images_are_interpolated_across_their_edges(edges: str, size: tuple[int,
         pixels if edges == "sphere" else torch.stack((pixels[:, 0], pixels[:, 1].clamp(0, size[0] - 1)), -1)
     )
     expected = bilinear_sample(images, inside, wrap_longitude=edges != "border")
-    shared = ImageLookup(pixels[:, None], seen, size, edges=edges)
+    shared = image_lookup(pixels[:, None], seen, size, edges=edges)
     torch.testing.assert_close(shared(images), expected)
-    batched = ImageLookup(pixels.expand(2, 40, 2)[:, :, None], seen.expand(2, 40, 1), size, edges=edges)
+    batched = image_lookup(pixels.expand(2, 40, 2)[:, :, None], seen.expand(2, 40, 1), size, edges=edges)
     torch.testing.assert_close(batched(images), expected)
     torch.testing.assert_close(
         weighted_sums(images.flatten(-2), *taps_across_edges(pixels, size, edges)), expected
@@ -70,10 +71,10 @@ def test_images_are_interpolated_across_their_edges(edges: str, size: tuple[int,
 
 def test_threads_share_the_results_of_one_image(monkeypatch: pytest.MonkeyPatch) -> None:
     images, pixels = rand(3, *SIZE), positions(36, 2)
-    lookup = ImageLookup(pixels, torch.ones(36, 2, dtype=torch.bool), SIZE, rand(36, 2), "sphere")
+    lookup = image_lookup(pixels, torch.ones(36, 2, dtype=torch.bool), SIZE, rand(36, 2), "sphere")
     expected = lookup(images)
     monkeypatch.setattr(torch, "get_num_threads", lambda: 4)
-    assert lookup._parts(images[None]) == 6
+    assert lookup._count_chunks(images[None]) == 6
     torch.testing.assert_close(lookup(images), expected)
     monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
     torch.testing.assert_close(lookup(images), expected)
@@ -84,7 +85,7 @@ def test_what_is_not_seen_is_zero_whatever_the_image_holds(size: tuple[int, int]
     images = torch.full((1, *size), torch.nan, dtype=DOUBLE)
     pixels = torch.zeros(4, 1, 2, dtype=DOUBLE)
     seen = torch.tensor([[False], [True], [False], [True]])
-    found = ImageLookup(pixels, seen, size)(images)[0]
+    found = image_lookup(pixels, seen, size)(images)[0]
     assert found[[0, 2]].tolist() == [0, 0]
     assert found[[1, 3]].isnan().all()
     rows = Lookup(torch.tensor([[0, 1], [1, 0]]), torch.ones(2, 2), seen=torch.tensor([False, True]))
@@ -98,7 +99,7 @@ def test_what_is_not_seen_is_zero_whatever_the_image_holds(size: tuple[int, int]
 def test_images_in_half_precision_are_looked_up_at_their_places(dtype: torch.dtype) -> None:
     images = rand(3, 40, 900).to(dtype)
     pixels = rand(50, 1, 2, seed=1).float() * torch.tensor([899.0, 39.0])
-    lookup = ImageLookup(pixels, rand(50, 1, seed=2) > 0.3, (40, 900))
+    lookup = image_lookup(pixels, rand(50, 1, seed=2) > 0.3, (40, 900))
     found, expected = lookup(images), lookup(images.float())
     assert found.dtype == dtype
     torch.testing.assert_close(found, expected.to(dtype))
@@ -109,8 +110,8 @@ def test_means_over_places() -> None:
     images, pixels = rand(2, *SIZE), positions(6, 3)
     shares, seen = rand(6, 3, seed=4), rand(6, 3, seed=5) > 0.3
     each = bilinear_sample(images, pixels.flatten(0, 1)).view(2, 6, 3) * seen
-    torch.testing.assert_close(ImageLookup(pixels, seen, SIZE, shares)(images), (each * shares).sum(-1))
-    torch.testing.assert_close(ImageLookup(pixels, seen, SIZE)(images), each.mean(-1))
+    torch.testing.assert_close(image_lookup(pixels, seen, SIZE, shares)(images), (each * shares).sum(-1))
+    torch.testing.assert_close(image_lookup(pixels, seen, SIZE)(images), each.mean(-1))
 
 
 def test_gradients() -> None:
@@ -118,13 +119,13 @@ def test_gradients() -> None:
     seen = torch.tensor([[True], [True], [False], [True]])
 
     def look(images: Tensor, pixels: Tensor) -> Tensor:
-        return ImageLookup(pixels, seen, SIZE, edges="sphere")(images)
+        return image_lookup(pixels, seen, SIZE, edges="sphere")(images)
 
     assert torch.autograd.gradcheck(look, (images, pixels))
 
 
 def test_tables_are_copied_and_moved_and_not_saved() -> None:
-    lookup = ImageLookup(positions(4, 1), torch.ones(4, 1, dtype=torch.bool), SIZE, edges="around")
+    lookup = image_lookup(positions(4, 1), torch.ones(4, 1, dtype=torch.bool), SIZE, edges="around")
     images = rand(1, *SIZE)
     for other in (copy.deepcopy(lookup), pickle.loads(pickle.dumps(lookup))):
         assert torch.equal(other(images), lookup(images))

@@ -286,3 +286,6 @@ def test_a_mask_of_all_calls_and_one_of_a_single_call_count_both() -> None:
     torch.testing.assert_close(module(values, upper), both)
     torch.testing.assert_close(module(values), resample(values, grid, target, mask=left))
     assert torch.equal(module.mask(upper), resample_mask(grid, target, mask=left & upper))
+    filled = Resample(grid, target, fill=-3.0, mask=left, dtype=DOUBLE)
+    expected = torch.where(module.mask(upper), both, -3.0)
+    torch.testing.assert_close(filled(values, upper), expected)

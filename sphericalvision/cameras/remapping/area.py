@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
-from sphericalvision.geometry.lookup import ImageLookup
+from sphericalvision.geometry.image_lookup import ImageLookup, image_lookup
 
 __all__ = ["CellGroup", "PyramidLookup", "cell_groups", "footprint", "lookup_at_level", "pixel_samples"]
 
@@ -140,14 +140,14 @@ def lookup_at_level(
         seen: of the samples; the others count as zero.
         image_size: (height, width) of the image as it is.
         level: how often it is halved.
-        edges: how it goes on beyond its edges, as ``ImageLookup`` calls it.
+        edges: how it goes on beyond its edges, as of ``image_lookup``.
         shares: of each sample in its cell; all the same if not given.
     """
     small = _level_size(image_size, level)
     if level:
         scale = pixels.new_tensor([small[1] / image_size[1], small[0] / image_size[0]])
         pixels = (pixels + 0.5) * scale - 0.5
-    return ImageLookup(pixels, seen, small, shares, edges)
+    return image_lookup(pixels, seen, small, shares, edges)
 
 
 def _level_size(image_size: tuple[int, int], level: int) -> tuple[int, int]:

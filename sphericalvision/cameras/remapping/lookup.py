@@ -48,7 +48,7 @@ def source_pixels(
 
 
 def image_edges(camera: Camera) -> str:
-    """How a camera's images go on beyond their edges, as ``ImageLookup`` calls it.
+    """How a camera's images go on beyond their edges, as of ``image_lookup``.
 
     Examples:
         >>> image_edges(EquirectangularCamera((4, 8)))

@@ -19,7 +19,8 @@ from sphericalvision.cameras.remapping.area import (
 )
 from sphericalvision.cameras.remapping.lookup import image_edges, nearest_pixel, source_pixels
 from sphericalvision.core import check_choice, check_tensor, check_type
-from sphericalvision.geometry.lookup import ImageLookup, Lookup
+from sphericalvision.geometry.image_lookup import ImageLookup, image_lookup
+from sphericalvision.geometry.lookup import Lookup
 from sphericalvision.geometry.masked_lookup import LookupModule, MaskedLookup
 
 __all__ = ["REMAP_MODES", "Remap", "remap", "remap_mask", "remap_tables"]
@@ -219,7 +220,7 @@ def remap_tables(
 
         lookup = PyramidLookup(groups, group_lookup)
     else:
-        lookup = ImageLookup(flat_pixels, flat_valid, size, edges=edges, cubic=mode == "bicubic")
+        lookup = image_lookup(flat_pixels, flat_valid, size, edges=edges, cubic=mode == "bicubic")
     tables = _InverseLookup if mode == "depth" else MaskedLookup
     usable = None if mask is None else mask.to(device)
     # Where samples are averaged, what counts is whether enough of them see something.

@@ -26,7 +26,7 @@ from sphericalvision.cameras.remapping.lookup import image_edges, pixels_a_radia
 from sphericalvision.cameras.rig import CameraRig, check_images_of
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.directions import angle_from_axis
-from sphericalvision.geometry.lookup import ImageLookup
+from sphericalvision.geometry.image_lookup import image_lookup
 from sphericalvision.icosphere import icosphere_vertices
 from sphericalvision.kernels import prefer_fused, use_triton
 
@@ -304,7 +304,7 @@ class _Points:
         seen = rig.project_along(directions, depths)
         self.num_depths = len(inverse_depths)
         self.lookups = [
-            ImageLookup(
+            image_lookup(
                 seen.pixels[place].flatten(0, 1).unsqueeze(-2),
                 seen.valid[place].flatten()[:, None],
                 camera.image_size,

@@ -10,7 +10,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.geometry.lookup import bilinear_sample, taps_across_edges, weighted_sums
+from sphericalvision.geometry.bilinear import bilinear_sample
+from sphericalvision.geometry.image_lookup import taps_across_edges
+from sphericalvision.geometry.lookup import weighted_sums
 from sphericalvision.kernels import uses_reference_kernels
 from sphericalvision.sphere.fast.row_sums import RowSums, adjoint, conv_of_row_sums, row_sums
 

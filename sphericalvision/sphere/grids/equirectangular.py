@@ -16,8 +16,8 @@ from sphericalvision.geometry import (
     directions_from_longitude_latitude,
     longitude_latitude_from_directions,
 )
+from sphericalvision.geometry.bilinear import wrap_panorama
 from sphericalvision.geometry.directions import check_directions, from_components
-from sphericalvision.geometry.lookup import wrap_panorama
 from sphericalvision.geometry.panorama import (
     ALL_LATITUDES,
     ALL_LONGITUDES,

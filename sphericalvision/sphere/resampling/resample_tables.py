@@ -22,7 +22,8 @@ from sphericalvision.cameras.remapping.area import (
 )
 from sphericalvision.cameras.remapping.lookup import image_edges, nearest_pixel
 from sphericalvision.core import check_choice, check_tensor, check_type
-from sphericalvision.geometry.lookup import ImageLookup, Lookup, PlacesInSinglePrecision
+from sphericalvision.geometry.image_lookup import image_lookup
+from sphericalvision.geometry.lookup import Lookup, PlacesInSinglePrecision
 from sphericalvision.geometry.masked_lookup import MaskedLookup
 from sphericalvision.sphere.grids.equirectangular import Equirectangular
 from sphericalvision.sphere.grids.sphere_grid import SphereGrid
@@ -232,7 +233,7 @@ class _GridImageLookup(nn.Module):
         self.source = source
         height, width = source.image(pixels.new_zeros(1, *source.shape)).shape[-2:]
         edges = getattr(source, "image_edges", "border")
-        self.lookup = ImageLookup(pixels, seen, (height, width), shares, edges)
+        self.lookup = image_lookup(pixels, seen, (height, width), shares, edges)
 
     def forward(self, values: Tensor) -> Tensor:
         result: Tensor = self.lookup(self.source.image(values))

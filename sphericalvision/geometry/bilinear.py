@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``bilinear_sample``: images interpolated once, without a table.
+
+Pixel centres have integer coordinates, the top-left pixel's is (u, v) = (0, 0).
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor
+
+from sphericalvision.core import ShapeError, check_choice, check_floating, check_last_dim, check_tensor
+from sphericalvision.geometry.directions import broadcast_shapes
+
+__all__ = ["HALF", "bilinear_sample", "wrap_panorama"]
+
+HALF = (torch.float16, torch.bfloat16)
+
+
+def wrap_panorama(image: Float[Tensor, "*batch h w"], poles: bool = True) -> Float[Tensor, "*batch h+2 w+2"]:
+    """A panorama ``(*, h, w)`` with one more column on either side and one more row above and below.
+
+    Args:
+        image: equirectangular, all around.
+        poles: whether it reaches up to the poles; then beyond a pole stands its row as seen from behind, else the
+            row is repeated.
+
+    Examples:
+        >>> wrap_panorama(torch.tensor([[1, 2, 3, 4]]).float())[0]
+        tensor([2., 3., 4., 1., 2., 3.])
+    """
+    width = image.shape[-1]
+
+    def beyond(row: Tensor) -> Tensor:  # an odd width has no pixel exactly behind, hence the mean of its two
+        return (row.roll(width // 2, -1) + row.roll((width + 1) // 2, -1)) / 2 if poles else row
+
+    image = torch.cat((beyond(image[..., :1, :]), image, beyond(image[..., -1:, :])), -2)
+    return torch.cat((image[..., -1:], image, image[..., :1]), -1)
+
+
+def bilinear_sample(
+    image: Float[Tensor, "*images c h w"],
+    pixels: Float[Tensor, "*places n 2"],
+    wrap_longitude: bool = False,
+    padding: str = "border",
+) -> Float[Tensor, "*batch c n"]:
+    """Values (*b, c, n) of ``image`` (*b, c, h, w) at ``pixels`` (*b, n, 2), given as (u, v).
+
+    Args:
+        image: floating point, as then are the values; its leading dimensions broadcast with those of ``pixels``.
+        pixels: (u, v) with integer pixel centres; the value at a NaN is NaN.
+        wrap_longitude: the image is a full equirectangular panorama: its left and right edges meet, and beyond
+            a pole the panorama continues on the opposite side.
+        padding: beyond the outermost pixel centres ``"border"`` repeats them and ``"zeros"`` fades to zero.
+
+    Raises:
+        ArgumentError: the image is of an integer type, or ``padding`` is unknown.
+        ShapeError: the shapes are not as above.
+
+    Examples:
+        >>> image = torch.tensor([[[0.0, 10.0], [20.0, 30.0]]])
+        >>> bilinear_sample(image, torch.tensor([[1.0, 0.0], [0.5, 0.5]])).tolist()
+        [[10.0, 15.0]]
+        >>> seam = torch.tensor([[1.5, 0.0]])
+        >>> bilinear_sample(image[:, :1], seam, wrap_longitude=True).tolist()
+        [[5.0]]
+    """
+    check_choice("padding", padding, ("border", "zeros"))
+    check_tensor("image", image, "(*b, c, h, w)")
+    check_last_dim("pixels", pixels, 2)
+    if image.ndim < 3 or pixels.ndim < 2:
+        raise ShapeError(
+            "image and pixels: expected shapes (*b, c, h, w) and (*b, n, 2), "
+            f"got {tuple(image.shape)} and {tuple(pixels.shape)}"
+        )
+    check_floating("image", image)
+    check_floating("pixels", pixels)
+    pixels = pixels.to(torch.promote_types(pixels.dtype, torch.float32))
+    height, width = image.shape[-2:]
+    size = pixels.new_tensor([width, height])
+    if wrap_longitude:
+        u = torch.remainder(pixels[..., 0] + 0.5, width) - 0.5
+        pixels = torch.stack((u, pixels[..., 1]), dim=-1) + 1
+        image, size = wrap_panorama(image), size + 2
+    try:
+        batch = broadcast_shapes(image.shape[:-3], pixels.shape[:-2])
+    except RuntimeError:
+        raise ShapeError(
+            "image and pixels: expected leading dimensions that broadcast with each other, "
+            f"got {tuple(image.shape)} and {tuple(pixels.shape)}"
+        ) from None
+    if 0 in (*batch, pixels.shape[-2]):  # which grid_sample refuses
+        none = image.flatten(-2)[..., :0].expand(*batch, -1, -1)
+        return none.reshape(*batch, image.shape[-3], pixels.shape[-2])
+    flat_image = image.expand(*batch, *image.shape[-3:]).reshape(-1, *image.shape[-3:])
+    if image.dtype in HALF:  # whose places would be half a pixel off
+        flat_image = flat_image.float()
+    # grid_sample(align_corners=False) puts the centre of pixel i at (2 i + 1) / size - 1.
+    grid = ((2 * pixels + 1) / size - 1).to(flat_image.dtype).expand(*batch, *pixels.shape[-2:])
+    grid = grid.reshape(-1, 1, *pixels.shape[-2:])
+    values = F.grid_sample(flat_image, grid, padding_mode=padding, align_corners=False)
+    values = torch.where(grid.isnan().any(-1).unsqueeze(1), torch.nan, values)
+    return values.reshape(*batch, image.shape[-3], pixels.shape[-2]).to(image.dtype)

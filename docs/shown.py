@@ -94,8 +94,29 @@ BOOSTS = {
 """How much more than others pages count in the search, by how their address begins."""
 
 
-def on_page_markdown(markdown: str, page: Any, **_: object) -> None:
-    """Weigh the page for the search."""
+PAGE = re.compile(r"<!-- page: (\S+) -->")
+"""All that is in a page of the site that is a file of the repository's top level."""
+FILES = {"CHANGELOG.md": "changelog.md", "CONTRIBUTING.md": "contributing.md"}
+
+
+def of_repository(name: str) -> str:
+    """Return a file of the repository as a page of the site; links to files that are no pages become text."""
+
+    def link(match: re.Match[str]) -> str:
+        target = FILES.get(match[2], match[2].removeprefix("docs/"))
+        is_page = target != match[2] or match[2].startswith(("#", "http"))
+        return f"[{match[1]}]({target})" if is_page else match[1]
+
+    text = (
+        (Path(__file__).parents[1] / name)
+        .read_text()
+        .replace('"docs/images/', '"images/')
+    )
+    return re.sub(r"\[([^\]]*)\]\(([^)\s]+)\)", link, text)
+
+
+def on_page_markdown(markdown: str, page: Any, **_: object) -> str:
+    """Weigh the page for the search, and read it where it is a file of the repository."""
     boost = next(
         (
             value
@@ -105,6 +126,8 @@ def on_page_markdown(markdown: str, page: Any, **_: object) -> None:
         1.0,
     )
     page.meta.setdefault("search", {}).setdefault("boost", boost)
+    whole = PAGE.fullmatch(markdown.strip())
+    return of_repository(whole[1]) if whole else markdown
 
 
 @event_priority(50)  # before the search reads the page

@@ -87,6 +87,8 @@ def film() -> None:
             )
         )
         print(f"frame {frame + 1} of {FRAMES}", flush=True)
+    # for who asks for pages that do not move
+    pictures[FRAMES // 2].save(OUTPUT.with_name("drive-still.webp"), quality=80)
     there_and_back = pictures + pictures[-2:0:-1]
     there_and_back[0].save(
         OUTPUT,

@@ -3,8 +3,8 @@
 
 ``on_page_markdown`` is called by MkDocs and puts a table of names above each ``::: sphericalvision.…`` of the API's
 pages; ``::: sphericalvision.… from base, models`` is the part of a package whose names come from these files and
-folders.
-``keys_of_command`` and ``keys_of_groups`` are called by the pages of keys.
+folders. ``::: keys of train`` is the table of keys of a command, and ``::: keys of groups`` that of all groups: MkDocs
+then checks their links, as it does those of every page.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ from sphericalvision.recipes.app.help import Key, heading, read_keys
 ROOT = Path(__file__).resolve().parents[1]
 BLOCK = r"^::: (sphericalvision\.\w+)(?: from ([\w., ]+))?$"
 """A package in a page of the API, or a part of it."""
+KEYS = r"^::: keys of (\w+)$"
+"""The keys of a command, or of all groups."""
 
 
 def first_sentence(doc: str | None) -> str:
@@ -114,7 +116,9 @@ def described_names(module_name: str, names: list[str]) -> str:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: object) -> str:
-    """Put the tables of names above what MkDocs makes of the docstrings."""
+    """Put the tables of names above what MkDocs makes of the docstrings, and the keys where a page asks for them."""
+    if page.file.src_uri.startswith("recipes/keys/"):
+        return re.sub(KEYS, lambda match: keys_of(match[1]), markdown, flags=re.M)
     if not page.file.src_uri.startswith("api/"):
         return markdown
 
@@ -157,17 +161,37 @@ def type_of(key: Key, path: Path) -> str:
     return words.get(type(value), "")
 
 
-def keys_of_command(command: str) -> str:
-    """The file of a command with its keys."""
-    text = (ROOT / "conf" / f"{command}.yaml").read_text()
-    groups = re.findall(r"^ {2}- (\w+): ", text.partition("defaults:")[2], re.M)
-    links = ", ".join(
-        f"[`{name}`](groups.md#{name})"
-        for name in groups
-        if (ROOT / "conf" / name).is_dir()
+def keys_of(command: str) -> str:
+    """Every key of a command, those of the groups' default files included; or every file of every group."""
+    if command == "groups":
+        return keys_of_groups()
+    path = ROOT / "conf" / f"{command}.yaml"
+    text = path.read_text()
+    summary, _, example = " ".join(heading(text)).partition("   ")
+    sections = [
+        summary,
+        f"```text\n{example.strip()}\n```" if example else "",
+        keys_table(path),
+    ]
+    groups = re.findall(
+        r"^ {2}- (\w+): (\w+)", text.partition("defaults:")[2], re.M
     )
-    parts = [" ".join(heading(text)), *([f"Groups: {links}."] if links else [])]
-    return "\n\n".join([*parts, keys_table(ROOT / "conf" / f"{command}.yaml")])
+    for group, default in groups:
+        folder = ROOT / "conf" / group
+        if folder.is_dir():
+            sections.append(
+                f"## `{group}=…` {{#{group}}}\n\n[All of its values](groups.md#{group})"
+                + (
+                    f"; by default `{default}`:"
+                    if default != "null"
+                    else "; none by default."
+                )
+            )
+            file = folder / f"{default}.yaml"
+            if file.exists():
+                own = "@package _global_" in file.read_text()
+                sections.append(keys_table(file, "" if own else f"{group}."))
+    return "\n\n".join(filter(None, sections))
 
 
 def keys_of_groups() -> str:
@@ -192,16 +216,16 @@ def keys_of_groups() -> str:
     return "\n\n".join(parts)
 
 
-def keys_table(path: Path) -> str:
-    """The keys of a file."""
+def keys_table(path: Path, prefix: str = "") -> str:
+    """The keys of a file, as the command line names them."""
     rows = [
-        f"| `{key.name}` | {cell(key.value)} | {type_of(key, path)} | {key.comment.replace('|', chr(92) + '|')} |"
+        f"| `{prefix}{key.name}` | {cell(key.value)} | {type_of(key, path)} | {escaped(key.comment)} |"
         for key in read_keys(path.read_text())
         if (key.value or key.comment)
         and not re.search(r"^hydra\b|_partial_$", key.name)
     ]
     return (
-        "| key | default | type | |\n|---|---|---|---|\n" + "\n".join(rows)
+        "| key | default | type | meaning |\n|---|---|---|---|\n" + "\n".join(rows)
         if rows
         else ""
     )
@@ -209,4 +233,9 @@ def keys_table(path: Path) -> str:
 
 def cell(value: str) -> str:
     """A value in code, or nothing."""
-    return f"`{value.replace('|', chr(92) + '|')}`" if value else ""
+    return f"`{escaped(value)}`" if value else ""
+
+
+def escaped(text: str) -> str:
+    """A text whose bars do not end the cell of a table."""
+    return text.replace("|", "\\|")

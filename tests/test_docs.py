@@ -9,6 +9,8 @@ import os
 import re
 import subprocess
 import sys
+import textwrap
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +86,7 @@ def test_shapes_in_docstrings_are_no_emphasis(monkeypatch: pytest.MonkeyPatch) -
     convert = pytest.importorskip("markdown").Markdown().convert
     pytest.importorskip("griffe")
     monkeypatch.syspath_prepend(ROOT / "docs")
-    import shapes
+    import docstrings
 
     def eaten(text: str) -> bool:
         parts = re.split(r"\n\s*\n|\n(?=\s+\w+: )", text)
@@ -93,7 +95,46 @@ def test_shapes_in_docstrings_are_no_emphasis(monkeypatch: pytest.MonkeyPatch) -
     assert eaten("Pixels (*, 2) of ``points`` (*, 3).")
     for file in (ROOT / "sphericalvision").rglob("*.py"):
         for doc in re.findall(r'"""(.*?)"""', file.read_text(), re.DOTALL):
-            assert not eaten(shapes.as_code(doc.partition("Examples:")[0])), (file, doc)
+            assert not eaten(docstrings.as_code(doc.partition("Examples:")[0])), (file, doc)
+
+
+@pytest.mark.usefixtures("copied_registries")
+def test_examples_of_the_api_begin_with_their_imports(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A page shows an example as a program: each name is imported or bound by it, and each import is right."""
+    pytest.importorskip("griffe")
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    import docstrings
+
+    programs = 0
+    for package in docstrings.PACKAGES:
+        for name in import_module(package).__all__:
+            value = getattr(import_module(package), name)
+            if not (inspect.isclass(value) or inspect.isfunction(value)) or ">>>" not in (
+                value.__doc__ or ""
+            ):
+                continue
+            text = docstrings.with_programs(inspect.cleandoc(value.__doc__), import_module(value.__module__))
+            program = re.search(r"```python\n(.*?)```", text, re.DOTALL)
+            assert program is not None, name
+            source = textwrap.dedent(program[1])
+            assert not docstrings.used_names(source), name
+            imports = [line for line in source.splitlines() if re.match(r"(from \S+ )?import ", line)]
+            exec("\n".join(imports), {})
+            programs += 1
+    assert programs > 200
+
+
+def test_cameras_are_shown_with_their_own_constructor(monkeypatch: pytest.MonkeyPatch) -> None:
+    griffe = pytest.importorskip("griffe")
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    extensions = griffe.load_extensions(ROOT / "docs" / "docstrings.py:Docstrings")
+    shown = griffe.load(
+        "sphericalvision.cameras.models.double_sphere", search_paths=[ROOT], extensions=extensions
+    )
+    camera = shown["DoubleSphereCamera"]
+    names = [parameter.name for parameter in camera.parameters]
+    assert names == ["self", *inspect.signature(import_module(shown.path).DoubleSphereCamera).parameters]
+    assert "focal_length: ``(*, 2)``, (fx, fy), pixels, above 0." in camera.docstring.value
 
 
 def test_every_page_is_in_the_navigation() -> None:

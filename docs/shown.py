@@ -30,6 +30,8 @@ from mkdocs.utils import get_relative_url
 QUALITY = 90
 """Of pictures in pages, as WebP files."""
 
+SYNONYM_BOOST = 2000.0
+"""Weight of other words for a section in the search; a title has 1000."""
 GENERATED = ("api/", "recipes/configuration")
 """Pages whose code is in no search."""
 BEGINNING = 240
@@ -94,6 +96,12 @@ BOOSTS = {
 """How much more than others pages count in the search, by how their address begins."""
 
 
+ASKED = (
+    r'<h[1-6] id="([^"]+)">(?:(?!</h[1-6]>).)*</h[1-6]>\s*<!-- search: ([^>]*) -->'
+)
+"""A heading and, below it, what people call what stands there."""
+SYNONYMS: dict[str, list[str]] = {}
+"""Address of a section -> those words. They count as much as its title."""
 PAGE = re.compile(r"<!-- page: (\S+) -->")
 """All that is in a page of the site that is a file of the repository's top level."""
 FILES = {"CHANGELOG.md": "changelog.md", "CONTRIBUTING.md": "contributing.md"}
@@ -138,6 +146,10 @@ def on_page_content(content: str, page: Any, **_: object) -> str:
             f"{page.file.src_uri}: a block of the page raised, and its traceback is in the page"
         )
     content = re.sub(BRACKETS, r"\1<small>\2</small></td>", content)
+    for heading, words in re.findall(ASKED, content):
+        SYNONYMS[f"{page.url}#{heading}" if heading != "top" else page.url] = (
+            words.split(", ")
+        )
     return content.replace(
         '<details class="mkdocstrings-source"',
         '<details data-search-exclude class="mkdocstrings-source"',
@@ -183,8 +195,12 @@ def on_post_build(config: Any, **_: object) -> None:
     """The search's index without what nobody searches, as each page loads it."""
     path = Path(config["site_dir"]) / "search" / "search_index.json"
     index = json.loads(path.read_text())
+    index["config"].setdefault("fields", {})["tags"] = {"boost": SYNONYM_BOOST}
     for entry in index["docs"]:
         entry["text"] = searchable(entry["text"], entry["location"])
+        words = SYNONYMS.get(entry["location"], [])
+        if words:
+            entry["tags"] = [*entry.get("tags", []), *words]
     path.write_text(json.dumps(index, separators=(",", ":"), ensure_ascii=False))
 
 

@@ -18,7 +18,7 @@ import pytest
 import torch
 import yaml
 
-from tests.documented import FENCE, HIDDEN, PAGES, ROOT, commands_of, run_command, visible_python
+from tests.documented import FENCE, HIDDEN, PAGES, ROOT, blocks, commands_of, run_command, visible_python
 
 BLOCK_WIDTH = 84
 """Letters of a line of code that a window of 1280 pixels shows."""
@@ -96,6 +96,14 @@ def test_shapes_in_docstrings_are_no_emphasis(monkeypatch: pytest.MonkeyPatch) -
     for file in (ROOT / "sphericalvision").rglob("*.py"):
         for doc in re.findall(r'"""(.*?)"""', file.read_text(), re.DOTALL):
             assert not eaten(docstrings.as_code(doc.partition("Examples:")[0])), (file, doc)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_lists_in_shell_blocks_are_quoted(page: Path) -> None:
+    """Zsh takes brackets for a pattern of files, and finds none."""
+    for _, block in blocks(page, "bash"):
+        lines = re.sub(r"'[^']*'|\"[^\"]*\"|#.*", "", block).splitlines()
+        assert not [line for line in lines if re.search(r"=\[", line)]
 
 
 @pytest.mark.usefixtures("copied_registries")

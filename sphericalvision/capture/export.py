@@ -342,14 +342,14 @@ def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Pat
     Its inputs are ``images`` and, where the program has them, the tables: ``rig.`` and their names.
 
     Raises:
-        ArgumentError: the packages for it are missing; ``pip install sphericalvision[onnx]``.
+        ArgumentError: the packages for it are missing.
     """
     try:
         import onnx  # noqa: F401
         from onnx_ir.passes import PassManager, common
         from onnxscript.optimizer import fold_constants
     except ImportError as error:
-        raise ArgumentError(f"onnx: needs {error.name}: pip install 'sphericalvision[onnx]'") from None
+        raise ArgumentError(f"onnx: needs {error.name}: pip install onnx onnxscript onnxruntime") from None
     inputs, _ = exported.example_inputs
     with quiet(), atomic_write(path) as temporary:
         # The optimiser of the converter does not end on programs of this size; folding does, and is half of the nodes.

@@ -191,18 +191,35 @@ def files_with(option: str) -> int:
     return len(listed.stdout.split())
 
 
-DIALECT = "found|known|wanted|kept|there|given|told|left|tried|looks|said"
-"""Names of variables that say nothing of what they hold."""
+UNSAYING = (
+    "found known wanted kept there given told left tried looks said shown made taken stated asked here both part parts "
+    "place places share shares turn turns near middle words? ours theirs mine beside beyond ahead apart away"
+)
+"""Names of variables that do not say what they hold, as regular expressions."""
+ASKING = r"\b(kernel_mode|prefer_fused|use_triton|fast_path_enabled|is_compiling)\("
+"""Calls that ask which way to compute."""
 
 
-def dialect() -> int:
-    """Lines of the product that assign to a variable of such a name."""
-    assigned = rf"^\s*({DIALECT})(\s*:[^=]+)?\s*=[^=]"
-    listed = subprocess.run(
-        ["git", "grep", "-hE", assigned, "--", "sphericalvision/*.py", "recipes/*.py"],
-        cwd=ROOT, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    return len(listed.stdout.splitlines())
+def grepped(pattern: str, *options: str) -> list[str]:
+    """Lines of the product's Python that match, or what ``options`` of ``git grep`` make of them."""
+    command = ["git", "grep", "-hE", *options, pattern, "--", "sphericalvision/*.py", "recipes/*.py"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    return done.stdout.splitlines()
+
+
+def unsaying_variables() -> list[str]:
+    """Lines that assign to a variable of such a name."""
+    return grepped(rf"^\s*({'|'.join(UNSAYING.split())})(\s*:[^=]+)?\s*=[^=]")
+
+
+def words_of_pages() -> int:
+    """Words of the hand-written pages: not of the API and the keys."""
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+    return sum(
+        len(page.read_text().split())
+        for page in pages
+        if page.parent.name not in ("api", "keys") and "<!-- page: " not in page.read_text()
+    )
 
 
 def newest_wheel() -> str:
@@ -226,7 +243,10 @@ def main() -> None:
         "files that a frame passes": len(frame),
         "files of a training sample to its loss": len(files_of_a_sample()),
         **{f"files with the option {option!r}": files_with(option) for option in ("photometric", "align")},
-        "variables of the dialect": dialect(),
+        "words of the pages": f"{words_of_pages():,}",
+        "files that ask for a kernel": len(grepped(ASKING, "-l")),
+        "mock.patch in the product": len(grepped(r"mock\.patch")),
+        "variables that do not say what they hold": len(unsaying_variables()),
         "wheel": newest_wheel(),
     }.items():
         print(f"{name:42} {value:>9}")

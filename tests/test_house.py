@@ -7,9 +7,12 @@ Every import counts for circles: at the top of a file, inside functions, and for
 from __future__ import annotations
 
 import ast
+import tomllib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+
+from tests.house_numbers import lines
 
 ROOT = Path(__file__).resolve().parents[1]
 TREES = {"sphericalvision": ROOT / "sphericalvision", "sphericalvision.recipes": ROOT / "recipes"}
@@ -150,3 +153,10 @@ def f():
     uses = "self._a(), cls._b, super()._c(), camera._map(f), self.cameras[0]._project(x), a.__len__()"
     assert list(private_uses(ast.parse(uses))) == ["_map", "_project"]
     assert private_members(ast.parse("class A:\n    def _f(self): self._x = self._y")) == {"_f", "_x"}
+
+
+def test_the_house_does_not_grow() -> None:
+    """Two numbers in ``pyproject.toml`` may only fall; who raises one says in the commit what the lines replace."""
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["sphericalvision"]["house"]
+    assert lines("sphericalvision", "recipes") <= settings["product_lines"]
+    assert lines("tests") <= settings["test_lines"]

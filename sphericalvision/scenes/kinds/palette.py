@@ -93,7 +93,7 @@ class Palette:
         mirror: float = 0.0,
     ) -> int:
         """A pattern between two colours; ``contrast`` 0 leaves one plain colour."""
-        number = ALL_PATTERNS.index(self.choose(names)) * VARIANTS + self.integer(0, VARIANTS - 1)
+        number = tuple(ALL_PATTERNS).index(self.choose(names)) * VARIANTS + self.integer(0, VARIANTS - 1)
         bright = bright or self.color(0.3, 0.9)
         other = self.color(0.02, 0.5)
         dark = tuple(b + contrast * (o - b) for b, o in zip(bright, other, strict=True))

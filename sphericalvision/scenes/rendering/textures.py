@@ -8,6 +8,7 @@ mixture of textures and levels is a handful of gathers. The bytes hold square ro
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -26,10 +27,6 @@ PHOTOGRAPHS = (
     "coins.png", "color.png", "grass.png", "gravel.png", "hubble_deep_field.jpg", "ihc.png", "moon.png",
     "motorcycle_left.png", "page.png", "retina.jpg", "rocket.jpg", "text.png",
 )  # fmt: skip
-#: Procedural patterns, see `pattern`.
-PATTERNS = ("noise", "checks", "stripes", "bricks", "wood", "tiles", "mosaic", "dots", "marble", "weave")
-#: With those that only kinds of scenes draw which name them, so that seeds of older kinds stay as they are.
-ALL_PATTERNS = (*PATTERNS, "spectrum", "cells", "specks")
 #: Variants of each pattern in the bank, and side length of every texture in pixels.
 VARIANTS, SIZE = 4, 256
 
@@ -58,9 +55,47 @@ def photograph(name: str, size: int = SIZE) -> Tensor:
     return (resized / 255) ** 2.2
 
 
+@dataclass(frozen=True)
+class Canvas:
+    """A square on which a pattern is drawn, and its source of randomness.
+
+    Patterns draw their numbers in a fixed order: the textures of all scenes that were rendered so far depend on it.
+
+    Attributes:
+        size: side length in pixels.
+        generator: of all random choices.
+        row: ``(size, size)`` in [0, 1), downwards.
+        column: ``(size, size)`` in [0, 1), to the right.
+        grain: ``(size, size)``, fine noise that nearly all patterns have a little of.
+    """
+
+    size: int
+    generator: torch.Generator
+    row: Tensor
+    column: Tensor
+    grain: Tensor
+
+    @classmethod
+    def blank(cls, size: int, generator: torch.Generator) -> Canvas:
+        """A canvas of a size."""
+        row, column = torch.meshgrid(torch.arange(size) / size, torch.arange(size) / size, indexing="ij")
+        return cls(size, generator, row, column, _value_noise(generator, size, (16, 16)))
+
+    def choose(self, low: int, high: int) -> int:
+        """A whole number from ``low`` to ``high``."""
+        return int(torch.randint(low, high + 1, (), generator=self.generator))
+
+    def random(self, *shape: int) -> Tensor:
+        """Numbers in [0, 1)."""
+        return torch.rand(shape, generator=self.generator)
+
+    def noise(self, cells: tuple[int, int], octaves: int = 4) -> Tensor:
+        """Fractal value noise ``(size, size)``."""
+        return _value_noise(self.generator, self.size, cells, octaves)
+
+
 def _value_noise(generator: torch.Generator, size: int, cells: tuple[int, int], octaves: int = 4) -> Tensor:
-    """Fractal value noise ``(size, size)`` in about [0, 1]; ``cells`` (down, across) of the coarsest
-    octave."""
+    """Fractal value noise ``(size, size)`` in about [0, 1]; ``cells`` (down, across) of the coarsest octave."""
     total, weight = torch.zeros(size, size), 0.0
     for octave in range(octaves):
         down, across = (min(count * 2**octave, size // 2) for count in cells)
@@ -69,6 +104,126 @@ def _value_noise(generator: torch.Generator, size: int, cells: tuple[int, int], 
         total += amplitude * interpolate(grid, (size, size), mode="bicubic", align_corners=True)[0, 0]
         weight += amplitude
     return (0.5 + 1.4 * (total / weight - 0.5)).clamp(0, 1)
+
+
+def _noise(canvas: Canvas) -> Tensor:
+    return canvas.noise((canvas.choose(2, 8), canvas.choose(2, 8)), octaves=6)
+
+
+def _checks(canvas: Canvas) -> Tensor:
+    count = canvas.choose(2, 6) * 2
+    return ((canvas.row * count).floor() + (canvas.column * count).floor()) % 2 * 0.8 + 0.2 * canvas.grain
+
+
+def _stripes(canvas: Canvas) -> Tensor:
+    count, width = canvas.choose(3, 12), 0.2 + 0.6 * float(canvas.random())
+    return ((canvas.column * count) % 1 < width).float() * 0.8 + 0.2 * canvas.grain
+
+
+def _bricks(canvas: Canvas) -> Tensor:
+    return _courses(canvas, canvas.choose(6, 10), canvas.choose(2, 4), offset=0.5)
+
+
+def _tiles(canvas: Canvas) -> Tensor:
+    count = canvas.choose(3, 6)
+    return _courses(canvas, count, count, offset=0)
+
+
+def _courses(canvas: Canvas, down: int, across: int, offset: float) -> Tensor:
+    """Stones in courses of which every second is moved by ``offset`` of a stone, with joints of one width."""
+    row, column = canvas.row, canvas.column
+    line = (row * down).floor()
+    shifted = column * across + offset * (line % 2)
+    tone = canvas.random(down, across + 1)[line.long(), shifted.floor().long()]
+    joint = torch.maximum((row * down % 1 - 0.5).abs() / down, (shifted % 1 - 0.5).abs() / across)
+    edge = torch.minimum(
+        (0.5 - (row * down % 1 - 0.5).abs()) / down, (0.5 - (shifted % 1 - 0.5).abs()) / across
+    )
+    return torch.where(edge < 0.008, 0.05 * joint, 0.35 + 0.4 * tone + 0.25 * canvas.grain)
+
+
+def _wood(canvas: Canvas) -> Tensor:
+    """Planks side by side, each with rings of its own phase that noise bends."""
+    planks = canvas.choose(2, 6)
+    plank = (canvas.column * planks).floor().long()
+    tone, phase = canvas.random(2, planks)
+    bend = canvas.noise((2, 3 * planks), octaves=3)
+    rings = 0.5 + 0.5 * torch.sin(40 * (canvas.column * planks % 1 + 0.7 * bend + phase[plank]))
+    seam = (canvas.column * planks % 1 < 0.03).float()
+    return (0.25 + 0.4 * tone[plank] + 0.25 * rings * bend + 0.1 * canvas.grain) * (1 - 0.8 * seam)
+
+
+def _mosaic(canvas: Canvas) -> Tensor:
+    cells = canvas.choose(4, 12)
+    cell = (canvas.row * cells).long(), (canvas.column * cells).long()
+    colors = canvas.random(3, cells, cells)
+    return colors[:, cell[0], cell[1]] * (0.8 + 0.2 * canvas.grain)
+
+
+def _dots(canvas: Canvas) -> Tensor:
+    count, radius = canvas.choose(3, 10), 0.2 + 0.2 * float(canvas.random())
+    distance = torch.hypot(canvas.row * count % 1 - 0.5, canvas.column * count % 1 - 0.5)
+    return (distance < radius).float() * 0.8 + 0.2 * canvas.grain
+
+
+def _marble(canvas: Canvas) -> Tensor:
+    swirl = canvas.noise((3, 3), octaves=6)
+    veins = torch.sin(canvas.choose(8, 20) * (canvas.row + canvas.column + 1.5 * swirl))
+    return (0.5 + 0.5 * veins) ** 2 * 0.7 + 0.3 * canvas.grain
+
+
+def _weave(canvas: Canvas) -> Tensor:
+    """Threads, alternately from left to right and from top to bottom, darker towards their edges."""
+    count, row, column = canvas.choose(12, 24), canvas.row, canvas.column
+    over = ((row * count).floor() + (column * count).floor()) % 2
+    thread = torch.where(over > 0, (row * count % 1 - 0.5).abs(), (column * count % 1 - 0.5).abs())
+    return (1 - thread) * (0.6 + 0.4 * canvas.noise((4, 4)))
+
+
+def _spectrum(canvas: Canvas) -> Tensor:
+    """Noise of all wavelengths, down to single texels, a little different in each colour."""
+    cells = canvas.choose(2, 5)
+    layers = [canvas.noise((cells, cells), octaves=7) for _ in range(4)]
+    colors = 0.65 * layers[0] + 0.35 * torch.stack(layers[1:])
+    return 0.5 + 1.5 * (colors - 0.5)
+
+
+def _cells(canvas: Canvas) -> Tensor:
+    """Gravel, scales or cracked mud: the cells of random points, with dark joints."""
+    points = canvas.random(canvas.choose(30, 150), 2)
+    tone = canvas.random(len(points))
+    distances = torch.cdist(torch.stack([canvas.row, canvas.column], -1).flatten(0, 1), points)
+    nearest, ids = distances.topk(2, largest=False)
+    joint = (nearest.diff(dim=-1)[:, 0] * len(points) ** 0.5 * 4).clamp(max=1)
+    image = (joint * (0.35 + 0.65 * tone[ids[:, 0]])).view(canvas.size, canvas.size)
+    return image * (0.6 + 0.4 * canvas.grain)
+
+
+def _specks(canvas: Canvas) -> Tensor:
+    """Plaster, ceiling tiles or carpet: small dark spots, dense or sparse, on one tone."""
+    density, fine = canvas.choose(2, 30) / 100, canvas.noise((canvas.choose(24, 96),) * 2, octaves=2)
+    return 1 - (fine > fine.quantile(1 - density)).float() * canvas.random(canvas.size, canvas.size)
+
+
+#: Procedural patterns: an image ``(size, size)`` or ``(3, size, size)``, still to be clamped to [0, 1].
+ALL_PATTERNS: dict[str, Callable[[Canvas], Tensor]] = {
+    "noise": _noise,
+    "checks": _checks,
+    "stripes": _stripes,
+    "bricks": _bricks,
+    "wood": _wood,
+    "tiles": _tiles,
+    "mosaic": _mosaic,
+    "dots": _dots,
+    "marble": _marble,
+    "weave": _weave,
+    "spectrum": _spectrum,
+    "cells": _cells,
+    "specks": _specks,
+}
+#: Patterns that any kind of scene may draw. Only kinds that name them draw the last three, so that the seeds of older
+#: kinds give the same scenes.
+PATTERNS = tuple(ALL_PATTERNS)[:-3]
 
 
 def pattern(name: str, generator: torch.Generator, size: int = SIZE) -> Tensor:
@@ -82,76 +237,8 @@ def pattern(name: str, generator: torch.Generator, size: int = SIZE) -> Tensor:
     Raises:
         ArgumentError: the name is not in `ALL_PATTERNS`.
     """
-    check_choice("name", name, ALL_PATTERNS)
-
-    def choose(low: int, high: int) -> int:
-        return int(torch.randint(low, high + 1, (), generator=generator))
-
-    row, column = torch.meshgrid(torch.arange(size) / size, torch.arange(size) / size, indexing="ij")
-    grain = _value_noise(generator, size, (16, 16))
-    if name == "noise":
-        image = _value_noise(generator, size, (choose(2, 8), choose(2, 8)), octaves=6)
-    elif name == "checks":
-        count = choose(2, 6) * 2
-        image = ((row * count).floor() + (column * count).floor()) % 2 * 0.8 + 0.2 * grain
-    elif name == "stripes":
-        count, share = choose(3, 12), 0.2 + 0.6 * float(torch.rand((), generator=generator))
-        image = ((column * count) % 1 < share).float() * 0.8 + 0.2 * grain
-    elif name in ("bricks", "tiles"):
-        down, across = (choose(6, 10), choose(2, 4)) if name == "bricks" else (choose(3, 6),) * 2
-        line = (row * down).floor()
-        shifted = column * across + (0.5 * (line % 2) if name == "bricks" else 0)
-        tone = torch.rand(down, across + 1, generator=generator)[line.long(), shifted.floor().long()]
-        joint = torch.maximum((row * down % 1 - 0.5).abs() / down, (shifted % 1 - 0.5).abs() / across)
-        edge = torch.minimum(
-            (0.5 - (row * down % 1 - 0.5).abs()) / down, (0.5 - (shifted % 1 - 0.5).abs()) / across
-        )
-        image = torch.where(edge < 0.008, 0.05 * joint, 0.35 + 0.4 * tone + 0.25 * grain)
-    elif name == "wood":
-        planks = choose(2, 6)
-        which = (column * planks).floor().long()
-        tone, phase = torch.rand(2, planks, generator=generator)
-        bend = _value_noise(generator, size, (2, 3 * planks), octaves=3)
-        rings = 0.5 + 0.5 * torch.sin(40 * (column * planks % 1 + 0.7 * bend + phase[which]))
-        seam = (column * planks % 1 < 0.03).float()
-        image = (0.25 + 0.4 * tone[which] + 0.25 * rings * bend + 0.1 * grain) * (1 - 0.8 * seam)
-    elif name == "mosaic":
-        cells = choose(4, 12)
-        place = ((row * cells).long(), (column * cells).long())
-        colors = torch.rand(3, cells, cells, generator=generator)
-        return (colors[:, place[0], place[1]] * (0.8 + 0.2 * grain)).clamp(0, 1)
-    elif name == "dots":
-        count, radius = choose(3, 10), 0.2 + 0.2 * float(torch.rand((), generator=generator))
-        middle = torch.hypot(row * count % 1 - 0.5, column * count % 1 - 0.5)
-        image = (middle < radius).float() * 0.8 + 0.2 * grain
-    elif name == "marble":
-        swirl = _value_noise(generator, size, (3, 3), octaves=6)
-        image = (0.5 + 0.5 * torch.sin(choose(8, 20) * (row + column + 1.5 * swirl))) ** 2 * 0.7 + 0.3 * grain
-    elif name == "weave":
-        count = choose(12, 24)
-        over = ((row * count).floor() + (column * count).floor()) % 2
-        thread = torch.where(over > 0, (row * count % 1 - 0.5).abs(), (column * count % 1 - 0.5).abs())
-        image = (1 - thread) * (0.6 + 0.4 * _value_noise(generator, size, (4, 4)))
-    elif name == "spectrum":
-        # Noise of all lengths, down to single texels, in each colour a little different.
-        cells = choose(2, 5)
-        layers = [_value_noise(generator, size, (cells, cells), octaves=7) for _ in range(4)]
-        colors = 0.65 * layers[0] + 0.35 * torch.stack(layers[1:])
-        return (0.5 + 1.5 * (colors - 0.5)).clamp(0, 1)
-    elif name == "cells":
-        # Gravel, scales or cracked mud: what is nearest to each of some points, between dark joints.
-        points = torch.rand(choose(30, 150), 2, generator=generator)
-        tone = torch.rand(len(points), generator=generator)
-        away = torch.cdist(torch.stack([row, column], -1).flatten(0, 1), points)
-        near, which = away.topk(2, largest=False)
-        joint = (near.diff(dim=-1)[:, 0] * len(points) ** 0.5 * 4).clamp(max=1)
-        image = (joint * (0.35 + 0.65 * tone[which[:, 0]])).view(size, size) * (0.6 + 0.4 * grain)
-    elif name == "specks":
-        # Plaster, ceiling tiles or carpet: small dark spots, dense or sparse, on what is else of one tone.
-        share, fine = choose(2, 30) / 100, _value_noise(generator, size, (choose(24, 96),) * 2, octaves=2)
-        image = 1 - (fine > fine.quantile(1 - share)).float() * torch.rand(size, size, generator=generator)
-    else:
-        raise AssertionError(f"{name!r} is in PATTERNS but has no rule")
+    check_choice("name", name, tuple(ALL_PATTERNS))
+    image = ALL_PATTERNS[name](Canvas.blank(size, generator))
     return image.clamp(0, 1).expand(3, -1, -1)
 
 

@@ -60,8 +60,8 @@ def with_carrier(scene: Scene, kind: str, rig: CameraRig, seed: int = 0) -> Carr
     down = trace(scene.primitives, rig.center.cpu().float(), torch.tensor([[0.0, 1.0, 0.0]])).distance.item()
     floor = down if down < DEEPEST else 0.6
     sides = (rig.positions - rig.center).abs().amax(0).tolist()
-    parts = {"pole": _pole, "robot": _robot, "vehicle": _vehicle}[kind](palette, sides, floor)
-    body = pack(parts).transformed(translation=rig.center.cpu().float())
+    pieces = {"pole": _pole, "robot": _robot, "vehicle": _vehicle}[kind](palette, sides, floor)
+    body = pack(pieces).transformed(translation=rig.center.cpu().float())
     materials = pack_materials(palette.materials)
     placed = replace(body, material=body.material + len(scene.materials.texture))
     return Carried(
@@ -123,17 +123,17 @@ def _vehicle(palette: Palette, sides: list[float], floor: float) -> list[Part]:
     shell, dark = palette.any_surface(0.6), palette.metal()
     wheel = min(0.13, floor / 4)
     deep = 0.1
-    parts = [
+    pieces = [
         Part("box", (0.0, 0.03 + deep, 0.0), (wide, deep, long), shell),
         Part("box", (0.0, 0.0, -0.65 * long), (0.5 * wide, 0.05, 0.25 * long), dark),
     ]
     strut = (floor - wheel - 0.05 - 2 * deep) / 2
     for x in (-1.0, 1.0):
         for z in (-0.6, 0.6):
-            place = (x * 0.9 * wide, z * long)
+            corner = (x * 0.9 * wide, z * long)
             if strut > 0:
-                middle = 0.03 + 2 * deep + strut
-                parts.append(Part("cylinder", (place[0], middle, place[1]), (0.02, strut, 0.02), dark))
-            hub = (x * (0.9 * wide + 0.05), floor - wheel - 0.002, place[1])
-            parts.append(Part("cylinder", hub, (wheel, 0.04, wheel), dark, rotation=ABOUT_X))
-    return parts
+                height = 0.03 + 2 * deep + strut
+                pieces.append(Part("cylinder", (corner[0], height, corner[1]), (0.02, strut, 0.02), dark))
+            hub = (x * (0.9 * wide + 0.05), floor - wheel - 0.002, corner[1])
+            pieces.append(Part("cylinder", hub, (wheel, 0.04, wheel), dark, rotation=ABOUT_X))
+    return pieces

@@ -214,11 +214,11 @@ class RandomFaults:
             raise ArgumentError(f"faults: expected {', '.join(AMOUNTS)}, got {', '.join(self.amounts)}")
         for name in self._others:
             _extension(name)
-        shares = {
+        probabilities = {
             "disturbed": (1.0 if self.disturbed is None else self.disturbed, 0.0),
             "grey": (self.grey, 0.0),
         }
-        for name, (share, most) in {**shares, **self.amounts}.items():
+        for name, (share, most) in {**probabilities, **self.amounts}.items():
             if not 0 <= share <= 1 or not most >= 0:
                 raise ArgumentError(
                     f"faults.{name}: expected a share from 0 to 1, and an amount of 0 or more, got {share} and {most}"
@@ -299,5 +299,5 @@ def turned_poses(rig: CameraRig, angle: float, generator: torch.Generator | None
     """
     axes = torch.nn.functional.normalize(torch.randn(len(rig), 3, generator=generator), dim=-1)
     poses = rig.world_from_camera
-    turns = transform_from_axis_angle((angle * axes).to(poses), poses.new_zeros(len(rig), 3))
-    return rig.replaced(world_from_camera=poses @ turns)
+    rotations = transform_from_axis_angle((angle * axes).to(poses), poses.new_zeros(len(rig), 3))
+    return rig.replaced(world_from_camera=poses @ rotations)

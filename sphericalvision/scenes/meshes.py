@@ -67,9 +67,9 @@ def mesh_files(mesh: str | Path | list[str], up: str = "y", scale: float = 1.0) 
         MissingFileError: there is no such file.
         ArgumentError: a folder without a mesh, or no path.
     """
-    places = [Path(place) for place in (mesh if isinstance(mesh, list) else [mesh])]
+    sources = [Path(place) for place in (mesh if isinstance(mesh, list) else [mesh])]
     paths: list[Path] = []
-    for place in places:
+    for place in sources:
         files = (
             sorted(p for p in place.iterdir() if p.suffix.lower() in SUFFIXES) if place.is_dir() else [place]
         )
@@ -171,13 +171,13 @@ def free_place(
     down = directions[:, 1] > 0.5
     nearest, groundless = 0.0, None
     for _ in range(TRIES):
-        place = low + (high - low) * torch.rand(3, generator=generator)
+        point = low + (high - low) * torch.rand(3, generator=generator)
         yaw = 2 * math.pi * torch.rand((), generator=generator).item()
-        distance, _ = mesh.trace(place, directions)
+        distance, _ = mesh.trace(point, directions)
         clear = distance.min().item()
         met = distance.isfinite().float()
         if clear >= clear_radius and met.mean() >= ENCLOSED:
-            placed = PlacedMesh(mesh, place, yaw, center)
+            placed = PlacedMesh(mesh, point, yaw, center)
             if met[down].mean() >= GROUNDED:
                 return placed
             groundless = groundless or placed

@@ -150,17 +150,17 @@ def under_another_sky(scene: Scene, generator: torch.Generator) -> Scene:
     kind = uniform(0, 1).item()
     clouds = torch.zeros(0, 5)
     if kind < BLACK:
-        shown = torch.zeros(2, 3)
+        levels = torch.zeros(2, 3)
     elif kind < BLACK + WHITE:
-        shown = uniform(0.95, 1.1, 2, 1).expand(2, 3)
+        levels = uniform(0.95, 1.1, 2, 1).expand(2, 3)
     else:
         # Mostly pale; a hue of any strength now and then.
-        shown = uniform(0.15, 1.05, 2, 1) + uniform(0, 1).item() * uniform(-0.35, 0.35, 2, 3)
+        levels = uniform(0.15, 1.05, 2, 1) + uniform(0, 1).item() * uniform(-0.35, 0.35, 2, 3)
         if kind < BLACK + WHITE + FLAT:
-            shown = shown[:1].expand(2, 3)
+            levels = levels[:1].expand(2, 3)
         elif kind >= BLACK + WHITE + FLAT + GRADIENT:
             clouds = _clouds(uniform)
-    background = shown.clamp(min=0) ** 2.2 / scene.exposure
+    background = levels.clamp(min=0) ** 2.2 / scene.exposure
     return replace(scene, background=background, clouds=clouds)
 
 

@@ -67,8 +67,8 @@ def random_rig(
     poses = []
     for number in range(count):
         around = yaw + (number + uniform(-0.2, 0.2)) * 2 * math.pi / count
-        place = torch.tensor([ring * math.sin(around), uniform(-0.06, 0.06), ring * math.cos(around)])
-        look = transform_from_axis_angle(torch.tensor([0.0, around, 0.0]), place)
+        position = torch.tensor([ring * math.sin(around), uniform(-0.06, 0.06), ring * math.cos(around)])
+        look = transform_from_axis_angle(torch.tensor([0.0, around, 0.0]), position)
         down = tilt + math.radians(uniform(-8, 8))
         roll = math.radians(uniform(-8, 8))
         poses.append(

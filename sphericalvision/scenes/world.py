@@ -125,9 +125,9 @@ class World:
                 "carrier: what carries the rig can be put into generated scenes, not into meshes"
             )
         for name in ("carrier", "masked", "other_sky", "unlit", "too_bright"):
-            share = getattr(self, name)
-            if isinstance(share, int | float) and not 0 <= share <= 1:
-                raise ArgumentError(f"{name}: expected a share from 0 to 1, got {share}")
+            probability = getattr(self, name)
+            if isinstance(probability, int | float) and not 0 <= probability <= 1:
+                raise ArgumentError(f"{name}: expected a share from 0 to 1, got {probability}")
         if self.tilts is not None and (self.carrier is not None or not self.tilts[0] <= self.tilts[1]):
             raise ArgumentError(
                 f"tilts: expected (least, largest) in radians and no carrier, got {tuple(self.tilts)} and "
@@ -203,8 +203,8 @@ class WorldFrame:
         """Of the scene."""
         if not isinstance(self.world.kind, Mapping):
             return kind_of(self.world.kind, self.seed)
-        shares = torch.tensor(list(self.world.kind.values()))
-        return list(self.world.kind)[choose(shares, self.draws.kind)]
+        probabilities = torch.tensor(list(self.world.kind.values()))
+        return list(self.world.kind)[choose(probabilities, self.draws.kind)]
 
     @property
     def name(self) -> str:
@@ -223,8 +223,8 @@ class WorldFrame:
             return self.world.rig
         least, most = self.world.tilts
         tilt = least + (most - least) * torch.rand((), generator=self.draws.rig)
-        apart = 2 * torch.rand(len(self.world.rig), generator=self.draws.rig) - 1
-        return self.world.rig.rotated(tilt=tilt + TILT_SPREAD * apart)
+        offsets = 2 * torch.rand(len(self.world.rig), generator=self.draws.rig) - 1
+        return self.world.rig.rotated(tilt=tilt + TILT_SPREAD * offsets)
 
     @property
     def center(self) -> Float[Tensor, " 3"]:

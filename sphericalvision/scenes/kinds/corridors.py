@@ -75,8 +75,8 @@ def _lamps(corridor: rooms.Room) -> None:
     step, middle = palette.uniform(2.5, 5.0), (corridor.low[0] + corridor.high[0]) / 2
     warm = palette.uniform(0.75, 1.0)
     glow = palette.glowing((1.0, 0.5 + 0.5 * warm, warm), 1.4)
-    places = sorted((start + (k + 0.5) * step for k in range(int((end - start) / step))), key=abs)
-    for number, z in enumerate(places):
+    positions = sorted((start + (k + 0.5) * step for k in range(int((end - start) / step))), key=abs)
+    for number, z in enumerate(positions):
         lamp = [
             Part("box", (middle, corridor.ceiling + 0.03, z), (0.15, 0.03, 0.5), glow, casts_shadow=False)
         ]

@@ -26,30 +26,30 @@ def random_floating_objects(generator: torch.Generator, clear_radius: float = 0.
     shell = palette.photograph(far * palette.uniform(0.7, 1.6), emission=palette.uniform(0.12, 0.3))
     shape = palette.choose(("box", "ellipsoid"))
     half = (far, far * palette.uniform(0.6, 1.0), far)
-    parts = [Part(shape, (0.0, 0.0, 0.0), half, shell, rotation=palette.rotation(), casts_shadow=False)]
+    pieces = [Part(shape, (0.0, 0.0, 0.0), half, shell, rotation=palette.rotation(), casts_shadow=False)]
     # A spread over inverse distance (not distance) fills all depth hypotheses alike.
     for _ in range(palette.integer(40, 90)):
         distance = 1 / palette.uniform(1 / min(0.8 * far, 20.0), 1 / (clear_radius + 0.1))
         size = distance * palette.log_uniform(0.05, 0.4)
-        part = _floating(palette, distance, size)
-        gap = pack([part]).distance_from(torch.zeros(3)).item()
+        candidate = _floating(palette, distance, size)
+        gap = pack([candidate]).distance_from(torch.zeros(3)).item()
         if gap >= clear_radius:
-            parts.append(part)
+            pieces.append(candidate)
     lamps = []
     for _ in range(2):
-        away = palette.uniform(4.0, 10.0)
+        spacing = palette.uniform(4.0, 10.0)
         x, y, z = _direction(palette)
         tint = palette.color(0.8, 1.0, 0.25)
-        power = 0.3 * away**2 * palette.uniform(0.6, 1.4)
+        power = 0.3 * spacing**2 * palette.uniform(0.6, 1.4)
         lamps.append(
             Lamp(
-                (away * x, -away * abs(y), away * z),
+                (spacing * x, -spacing * abs(y), spacing * z),
                 (power * tint[0], power * tint[1], power * tint[2]),
-                away,
+                spacing,
             )
         )
     return palette.scene(
-        parts,
+        pieces,
         lamps,
         ambient=palette.uniform(0.1, 0.2) * torch.ones(3),
     )

@@ -65,36 +65,36 @@ def table(palette: Palette) -> list[Part]:
     """A table with four legs and something on it."""
     x, z, height = palette.uniform(0.3, 0.9), palette.uniform(0.3, 0.5), palette.uniform(0.4, 0.85)
     top, leg = palette.any_surface(), palette.metal()
-    parts = [
+    pieces = [
         _slab(top, 0, height, 0, (x, 0.02, z)),
         *_legs(palette, leg, x - 0.05, z - 0.05, height - 0.04, 0.025),
     ]
     for _ in range(palette.integer(0, 3)):
         spot = palette.uniform(-0.8, 0.8) * x, palette.uniform(-0.7, 0.7) * z
-        parts += _ornament(palette, spot[0], height, spot[1])
-    return parts
+        pieces += _ornament(palette, spot[0], height, spot[1])
+    return pieces
 
 
 def chair(palette: Palette) -> list[Part]:
     """A chair with a slatted or solid back."""
     material, leg = palette.any_surface(0.5), palette.metal()
     height, half = palette.uniform(0.4, 0.5), palette.uniform(0.19, 0.25)
-    parts = [
+    pieces = [
         _slab(material, 0, height, 0, (half, 0.025, half)),
         *_legs(palette, leg, half - 0.03, half - 0.03, height - 0.05, 0.016),
     ]
     back = palette.uniform(0.35, 0.6)
     if palette.chance(0.5):
-        parts.append(_slab(material, 0, height + back, -half, (half, back / 2, 0.015)))
+        pieces.append(_slab(material, 0, height + back, -half, (half, back / 2, 0.015)))
     else:
         bars = palette.integer(3, 5)
         step = 2 * (half - 0.02) / (bars - 1)
         posts = [(k * step - half + 0.02) for k in range(bars)]
-        parts += [
+        pieces += [
             Part("cylinder", (x, -height - back / 2, -half), (0.012, back / 2, 0.012), leg) for x in posts
         ]
-        parts.append(_slab(material, 0, height + back + 0.06, -half, (half, 0.04, 0.015)))
-    return parts
+        pieces.append(_slab(material, 0, height + back + 0.06, -half, (half, 0.04, 0.015)))
+    return pieces
 
 
 def stool(palette: Palette) -> list[Part]:
@@ -113,49 +113,49 @@ def shelf(palette: Palette) -> list[Part]:
     """Open shelves with books and ornaments."""
     x, depth, height = palette.uniform(0.3, 0.8), palette.uniform(0.12, 0.2), palette.uniform(0.9, 2.1)
     frame, boards = palette.wood() if palette.chance(0.6) else palette.paint(), palette.integer(2, 4)
-    parts = [Part("box", (s * x, -height / 2, 0), (0.015, height / 2, depth), frame) for s in (-1, 1)]
-    parts.append(Part("box", (0, -height / 2, -depth), (x, height / 2, 0.008), frame))
+    pieces = [Part("box", (s * x, -height / 2, 0), (0.015, height / 2, depth), frame) for s in (-1, 1)]
+    pieces.append(Part("box", (0, -height / 2, -depth), (x, height / 2, 0.008), frame))
     for k in range(boards + 1):
         top = 0.05 + (height - 0.06) * k / boards
-        parts.append(_slab(frame, 0, top, 0.005, (x - 0.016, 0.012, depth - 0.01)))
+        pieces.append(_slab(frame, 0, top, 0.005, (x - 0.016, 0.012, depth - 0.01)))
         if k < boards:
             width, tall = palette.uniform(0.2, 0.8) * x, palette.uniform(0.3, 0.75) * height / boards
-            middle = palette.uniform(-1, 1) * (x - width - 0.03)
+            center = palette.uniform(-1, 1) * (x - width - 0.03)
             books = (
                 palette.patterned(("stripes", "mosaic"), 0.35, 0.9)
                 if palette.chance(0.6)
                 else palette.photograph(0.4)
             )
-            parts.append(_slab(books, middle, top + tall, 0.0, (width, tall / 2, depth * 0.7)))
-    return parts
+            pieces.append(_slab(books, center, top + tall, 0.0, (width, tall / 2, depth * 0.7)))
+    return pieces
 
 
 def cabinet(palette: Palette) -> list[Part]:
     """A chest or wardrobe, its doors a little proud, with things on top."""
     x, depth, height = palette.uniform(0.25, 0.8), palette.uniform(0.2, 0.32), palette.uniform(0.5, 2.1)
     body, door, knob = palette.any_surface(1.2), palette.any_surface(0.8), palette.metal()
-    parts = [_slab(body, 0, height, 0, (x, height / 2 - 0.02, depth))]
+    pieces = [_slab(body, 0, height, 0, (x, height / 2 - 0.02, depth))]
     for side in (-1, 1):
-        parts.append(
+        pieces.append(
             _slab(door, side * x / 2, height - 0.06, depth, (x / 2 - 0.02, height / 2 - 0.08, 0.015))
         )
-        parts.append(Part("ellipsoid", (side * 0.06, -height / 2, depth + 0.035), (0.02, 0.02, 0.02), knob))
+        pieces.append(Part("ellipsoid", (side * 0.06, -height / 2, depth + 0.035), (0.02, 0.02, 0.02), knob))
     for _ in range(palette.integer(0, 2)):
-        parts += _ornament(palette, palette.uniform(-0.7, 0.7) * x, height, 0, 0.16)
-    return parts
+        pieces += _ornament(palette, palette.uniform(-0.7, 0.7) * x, height, 0, 0.16)
+    return pieces
 
 
 def sofa(palette: Palette) -> list[Part]:
     """A sofa or armchair with cushions."""
     x, z = palette.uniform(0.4, 1.1), palette.uniform(0.38, 0.48)
     cloth, cushion = palette.any_surface(0.8), palette.any_surface(0.5)
-    parts = [
+    pieces = [
         _slab(cloth, 0, 0.42, 0, (x, 0.17, z)),
         _slab(cloth, 0, palette.uniform(0.7, 0.95), 0.1 - z, (x, 0.3, 0.1)),
         *[_slab(cloth, side * (x - 0.08), 0.6, 0, (0.08, 0.25, z)) for side in (-1, 1)],
     ]
     spots = [palette.uniform(-0.6, 0.6) * x for _ in range(palette.integer(0, 2))]
-    return parts + [Part("ellipsoid", (s, -0.56, -0.1), (0.2, 0.15, 0.1), cushion) for s in spots]
+    return pieces + [Part("ellipsoid", (s, -0.56, -0.1), (0.2, 0.15, 0.1), cushion) for s in spots]
 
 
 def bed(palette: Palette) -> list[Part]:
@@ -188,7 +188,7 @@ def plant(palette: Palette) -> list[Part]:
     leaf = palette.patterned(
         ("noise", "stripes", "marble"), 0.3, 1.0, (palette.uniform(0.1, 0.5), palette.uniform(0.4, 0.8), 0.1)
     )
-    parts = [
+    pieces = [
         Part("cylinder", (0, -radius, 0), (radius, radius, radius), pot),
         Part("cylinder", (0, -height / 2, 0), (0.012, height / 2, 0.012), palette.wood()),
     ]
@@ -196,8 +196,8 @@ def plant(palette: Palette) -> list[Part]:
         angle, reach = palette.uniform(0, 2 * math.pi), palette.uniform(0.05, 0.22)
         center = (reach * math.sin(angle), -height + palette.uniform(-0.2, 0.3), reach * math.cos(angle))
         half = (palette.uniform(0.05, 0.16), palette.uniform(0.02, 0.12), palette.uniform(0.05, 0.18))
-        parts.append(Part("ellipsoid", center, half, leaf, yaw=angle))
-    return parts
+        pieces.append(Part("ellipsoid", center, half, leaf, yaw=angle))
+    return pieces
 
 
 def column(palette: Palette) -> list[Part]:
@@ -231,9 +231,9 @@ def rack(palette: Palette) -> list[Part]:
     """A rail of thin bars: a clothes rack, a banister or a ladder."""
     x, height, material = palette.uniform(0.3, 0.8), palette.uniform(0.8, 1.9), palette.metal()
     thick, bars = palette.uniform(0.008, 0.025), palette.integer(2, 6)
-    parts = [Part("box", (0, thick - h, 0), (x, thick, thick), material) for h in (height, 0.12)]
+    pieces = [Part("box", (0, thick - h, 0), (x, thick, thick), material) for h in (height, 0.12)]
     posts = [x * (2 * k / (bars - 1) - 1) for k in range(bars)]
-    return parts + [
+    return pieces + [
         Part("cylinder", (p, -height / 2, 0), (thick, height / 2, thick), material) for p in posts
     ]
 

@@ -99,7 +99,7 @@ def _outside(room: rooms.Room) -> None:
     palette = room.palette
     below = room.floor + (0.05 if palette.chance(0.5) else palette.log_uniform(1.0, 15.0))
     ground = _shone_upon(palette, palette.patterned(tile=palette.uniform(1.5, 6.0)))
-    parts = [level(0.0, below, 0.0, OUTSIDE, OUTSIDE, ground)]
+    pieces = [level(0.0, below, 0.0, OUTSIDE, OUTSIDE, ground)]
     reach = math.hypot(*(max(abs(a), abs(b)) for a, b in zip(room.low, room.high, strict=True)))
     for _ in range(palette.integer(0, 6)):
         away, turn = reach + palette.log_uniform(1.5, 50.0), palette.uniform(0, 2 * math.pi)
@@ -109,7 +109,7 @@ def _outside(room: rooms.Room) -> None:
         high = palette.uniform(0.5, 6.0)
         skin = palette.any_surface(palette.uniform(1.0, 4.0)) if palette.chance(0.6) else palette.paint()
         center = (away * math.sin(turn), below - high, away * math.cos(turn))
-        parts.append(
+        pieces.append(
             Part(
                 "ellipsoid" if tree else "box",
                 center,
@@ -119,7 +119,7 @@ def _outside(room: rooms.Room) -> None:
                 casts_shadow=False,
             )
         )
-    room.parts += labelled(parts, "window")
+    room.parts += labelled(pieces, "window")
 
 
 def _shone_upon(palette: Palette, material: int) -> int:

@@ -57,8 +57,8 @@ def _beams(hall: rooms.Room) -> None:
     step, material = palette.uniform(2.0, 5.0), palette.metal()
     deep, thick = palette.uniform(0.1, 0.4), palette.uniform(0.05, 0.15)
     for k in range(1, int((z1 - z0) / step)):
-        middle = ((x0 + x1) / 2, hall.ceiling + deep, z0 + k * step)
-        hall.add([Part("box", middle, ((x1 - x0) / 2, deep, thick), material, casts_shadow=False)])
+        center = ((x0 + x1) / 2, hall.ceiling + deep, z0 + k * step)
+        hall.add([Part("box", center, ((x1 - x0) / 2, deep, thick), material, casts_shadow=False)])
 
 
 def _strip_lights(hall: rooms.Room, count: int) -> None:

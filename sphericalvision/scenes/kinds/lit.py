@@ -62,8 +62,8 @@ def _finish(room: rooms.Room) -> None:
     palette = room.palette
     floor, roof = (part.material for part in room.parts[:2])
     if palette.chance(0.7):
-        share = palette.log_uniform(0.05, 0.7)
-        palette.materials[floor] = palette.materials[floor]._replace(mirror=share)
+        fraction = palette.log_uniform(0.05, 0.7)
+        palette.materials[floor] = palette.materials[floor]._replace(mirror=fraction)
     if palette.chance(0.6):
         white = palette.color(0.7, 0.95, 0.05)
         palette.materials[roof] = palette.materials[roof]._replace(bright=white, dark=white)
@@ -157,11 +157,11 @@ def _stand_box(room: rooms.Room) -> None:
     if hangs:
         high, deep = high / 3, min(deep, 0.1)
     y = room.ceiling + high + palette.uniform(0.0, 0.3) if hangs else room.floor - high
-    parts = [Part("box", (0.0, y, 0.0), (wide, high, deep), palette.any_surface(1.0))]
+    pieces = [Part("box", (0.0, y, 0.0), (wide, high, deep), palette.any_surface(1.0))]
     inner = palette.uniform(0.7, 1.0)
     for front in (-1, 1) if palette.chance(0.4) else (-1,):
         glow = _face(palette, 2 * wide)
         half = (inner * wide, inner * high, 1.0)
-        parts.append(Part("rectangle", (0.0, y, front * (deep + 0.002)), half, glow, casts_shadow=False))
+        pieces.append(Part("rectangle", (0.0, y, front * (deep + 0.002)), half, glow, casts_shadow=False))
     yaw = turn + palette.uniform(-0.8, 0.8)
-    room.add(labelled(place(parts, x, 0.0, z, yaw), "lamp"))
+    room.add(labelled(place(pieces, x, 0.0, z, yaw), "lamp"))

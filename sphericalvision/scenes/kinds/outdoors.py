@@ -38,8 +38,8 @@ class _Place:
         """Stand something on the ground at a random spot if there is room for it, at even inverse distances."""
         palette, radius = self.palette, footprint_radius(parts)
         angle = palette.uniform(0, 2 * math.pi)
-        away = radius + 1 / palette.uniform(1 / farthest, 1 / nearest)
-        x, z = away * math.sin(angle), away * math.cos(angle)
+        distance = radius + 1 / palette.uniform(1 / farthest, 1 / nearest)
+        x, z = distance * math.sin(angle), distance * math.cos(angle)
         if any(math.hypot(x - cx, z - cz) < radius + other for cx, cz, other in self.circles):
             return
         placed = place(parts, x, self.ground, z, palette.uniform(0, 2 * math.pi))
@@ -79,10 +79,10 @@ def random_outdoor_place(generator: torch.Generator, clear_radius: float = 0.6) 
 def _sun(palette: Palette, cloudy: float) -> Lamp:
     """A lamp so far away that its shadows are nearly parallel; weaker behind clouds."""
     height, angle = palette.uniform(0.35, 1.3), palette.uniform(0, 2 * math.pi)
-    away = 300.0
-    across = away * math.cos(height)
-    power = (1 - 0.7 * cloudy) * 0.9 * away**2
-    position = (across * math.sin(angle), -away * math.sin(height), across * math.cos(angle))
+    distance = 300.0
+    across = distance * math.cos(height)
+    power = (1 - 0.7 * cloudy) * 0.9 * distance**2
+    position = (across * math.sin(angle), -distance * math.sin(height), across * math.cos(angle))
     return Lamp(position, (power, 0.95 * power, 0.85 * power), reach=1.0)
 
 
@@ -131,7 +131,7 @@ def _house(palette: Palette) -> list[Part]:
     )
     glass = palette.add(Material(0, (0.03, 0.04, 0.06), (0.03, 0.04, 0.06), mirror=0.4))
     frame, roof = palette.paint(), palette.any_surface(2.0)
-    parts = [
+    pieces = [
         Part("box", (0.0, -height / 2, 0.0), (x, height / 2, z), plaster),
         Part("box", (0.0, -height - 0.1, 0.0), (x + 0.3, 0.15, z + 0.3), roof),
         Part("box", (palette.uniform(-0.6, 0.6) * x, -1.05, z), (0.5, 1.05, 0.05), frame),
@@ -143,10 +143,10 @@ def _house(palette: Palette) -> list[Part]:
             across = -x + 0.9 + k * step
             for side in (-1, 1):
                 sill = (across, y, side * z)
-                parts.append(Part("box", sill, (wide + 0.06, 0.66, 0.05), frame, casts_shadow=False))
+                pieces.append(Part("box", sill, (wide + 0.06, 0.66, 0.05), frame, casts_shadow=False))
                 pane = (across, y, side * (z + 0.055))
-                parts.append(Part("rectangle", pane, (wide, 0.6, 1.0), glass, casts_shadow=False))
-    return parts
+                pieces.append(Part("rectangle", pane, (wide, 0.6, 1.0), glass, casts_shadow=False))
+    return pieces
 
 
 def _tree(palette: Palette) -> list[Part]:
@@ -155,15 +155,15 @@ def _tree(palette: Palette) -> list[Part]:
     green = (palette.uniform(0.15, 0.5), palette.uniform(0.35, 0.65), palette.uniform(0.05, 0.2))
     leaves = palette.patterned(("noise", "dots"), palette.uniform(0.4, 1.0), 0.9, green)
     stem = 0.02 * height + 0.03
-    parts = [Part("cylinder", (0.0, -0.3 * height, 0.0), (stem, 0.3 * height, stem), trunk)]
+    pieces = [Part("cylinder", (0.0, -0.3 * height, 0.0), (stem, 0.3 * height, stem), trunk)]
     slim = palette.chance(0.3)
     for _ in range(palette.integer(2, 5)):
         size = (0.12 if slim else palette.uniform(0.15, 0.28)) * height
         half = (size, (0.35 if slim else 0.2) * height, size)
         side = 0.02 if slim else 0.1
-        middle = (palette.uniform(-side, side) * height, -0.7 * height, palette.uniform(-side, side) * height)
-        parts.append(Part("ellipsoid", middle, half, leaves, yaw=palette.uniform(0, 3)))
-    return parts
+        center = (palette.uniform(-side, side) * height, -0.7 * height, palette.uniform(-side, side) * height)
+        pieces.append(Part("ellipsoid", center, half, leaves, yaw=palette.uniform(0, 3)))
+    return pieces
 
 
 def _car(palette: Palette) -> list[Part]:
@@ -172,24 +172,24 @@ def _car(palette: Palette) -> list[Part]:
     glass = palette.add(Material(0, (0.02, 0.02, 0.03), (0.02, 0.02, 0.03), mirror=0.3))
     rubber = palette.patterned(("noise",), 0.3, 0.3, (0.04, 0.04, 0.04))
     long, wide = palette.uniform(1.7, 2.4), palette.uniform(0.75, 0.95)
-    parts = [
+    pieces = [
         Part("box", (0.0, -0.55, 0.0), (wide, 0.3, long), paint),
         Part("box", (0.0, -1.05, 0.1), (0.85 * wide, 0.24, 0.55 * long), glass),
         Part("box", (0.0, -1.31, 0.1), (0.8 * wide, 0.03, 0.5 * long), paint),
     ]
     wheels = [(side * wide, -0.32, 0.6 * end * long) for side in (-1, 1) for end in (-1, 1)]
-    return parts + [Part("ellipsoid", spot, (0.12, 0.32, 0.32), rubber) for spot in wheels]
+    return pieces + [Part("ellipsoid", spot, (0.12, 0.32, 0.32), rubber) for spot in wheels]
 
 
 def _post(palette: Palette) -> list[Part]:
     """A street lamp or a pole with a sign."""
     height, metal = palette.uniform(2.2, 5.0), palette.metal()
-    parts = [Part("cylinder", (0.0, -height / 2, 0.0), (0.04, height / 2, 0.04), metal)]
+    pieces = [Part("cylinder", (0.0, -height / 2, 0.0), (0.04, height / 2, 0.04), metal)]
     if palette.chance(0.5):
-        parts.append(Part("box", (0.0, -height + 0.3, 0.05), (0.3, 0.3, 0.01), palette.photograph(0.6)))
+        pieces.append(Part("box", (0.0, -height + 0.3, 0.05), (0.3, 0.3, 0.01), palette.photograph(0.6)))
     else:
-        parts.append(Part("ellipsoid", (0.0, -height, 0.3), (0.12, 0.06, 0.3), metal))
-    return parts
+        pieces.append(Part("ellipsoid", (0.0, -height, 0.3), (0.12, 0.06, 0.3), metal))
+    return pieces
 
 
 def _bush(palette: Palette) -> list[Part]:
@@ -212,13 +212,13 @@ def _person(palette: Palette) -> list[Part]:
     trousers, coat = palette.any_surface(0.5), palette.any_surface(0.5)
     skin = palette.patterned(("noise",), 0.3, 0.2, (palette.uniform(0.3, 0.8), 0.4, 0.3))
     scale = palette.uniform(0.85, 1.1)
-    parts = [
+    pieces = [
         *(Part("cylinder", (s * 0.1, -0.42, 0.0), (0.07, 0.42, 0.08), trousers) for s in (-1, 1)),
         Part("ellipsoid", (0.0, -1.15, 0.0), (0.2, 0.36, 0.13), coat),
         *(Part("ellipsoid", (s * 0.23, -1.1, 0.0), (0.05, 0.32, 0.06), coat) for s in (-1, 1)),
         Part("ellipsoid", (0.0, -1.62, 0.0), (0.09, 0.12, 0.1), skin),
     ]
-    return [_scaled(part, scale) for part in parts]
+    return [_scaled(part, scale) for part in pieces]
 
 
 def _bollard(palette: Palette) -> list[Part]:

@@ -111,7 +111,7 @@ def _shell(spot: Room, is_open: bool, plain: float) -> None:
 def _thing(spot: Room, far: float, plain: float) -> None:
     """A box, a ball or a column, on the floor or in mid-air, at even inverse distances."""
     palette = spot.palette
-    away = 1 / palette.uniform(1 / max(far, spot.clear + 0.5), 1 / (spot.clear + 0.2))
+    distance = 1 / palette.uniform(1 / max(far, spot.clear + 0.5), 1 / (spot.clear + 0.2))
     turn, reach = palette.uniform(0, 2 * math.pi), spot.floor - spot.ceiling
     size = palette.log_uniform(0.1, 0.9)
     shape = palette.choose(("box", "box", "box", "ellipsoid", "cylinder"))
@@ -120,7 +120,7 @@ def _thing(spot: Room, far: float, plain: float) -> None:
         wide = deep = palette.log_uniform(0.02, 0.2)
         high = reach * palette.uniform(0.2, 0.5)
     half = (wide, min(high, reach / 2), deep)
-    x, z = away * math.sin(turn), away * math.cos(turn)
+    x, z = distance * math.sin(turn), distance * math.cos(turn)
     (x0, z0), (x1, z1) = spot.low, spot.high
     if not (x0 < x < x1 and z0 < z < z1):
         return
@@ -137,7 +137,7 @@ def _block(spot: Room, plain: float) -> None:
     """A block as large as a house."""
     palette = spot.palette
     wide, high, deep = (palette.uniform(1.0, 5.0) for _ in range(3))
-    parts = [Part("box", (0.0, -high, 0.0), (wide, high, deep), any_picture(palette, plain, 2 * wide))]
-    away, turn = palette.log_uniform(4.0, 40.0) + footprint_radius(parts), palette.uniform(0, 2 * math.pi)
+    pieces = [Part("box", (0.0, -high, 0.0), (wide, high, deep), any_picture(palette, plain, 2 * wide))]
+    away, turn = palette.log_uniform(4.0, 40.0) + footprint_radius(pieces), palette.uniform(0, 2 * math.pi)
     where = (away * math.sin(turn), spot.floor, away * math.cos(turn))
-    spot.add(place(parts, *where, palette.uniform(0, math.pi)))
+    spot.add(place(pieces, *where, palette.uniform(0, math.pi)))

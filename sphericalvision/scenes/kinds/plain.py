@@ -46,9 +46,9 @@ def random_plain(generator: torch.Generator, clear_radius: float = 0.6) -> Scene
     contrast, grey = palette.choose(FAINTEST), palette.chance(0.3)
     for number, material in enumerate(palette.materials[finished:], finished):
         bright = _mixed(GREY, material.bright, 0.15) if grey else material.bright
-        share = contrast if palette.chance(0.8) else 1.0
+        fraction = contrast if palette.chance(0.8) else 1.0
         palette.materials[number] = material._replace(
-            bright=bright, dark=_mixed(bright, material.dark, share)
+            bright=bright, dark=_mixed(bright, material.dark, fraction)
         )
     shaded = palette.chance(SHADED)
     if shaded and palette.chance(0.5):
@@ -103,8 +103,8 @@ def _shell(room: rooms.Room) -> None:
 def _spot(room: rooms.Room) -> tuple[float, float]:
     """Somewhere in the room at even inverse distances, or on the far side of a wall."""
     palette, turn = room.palette, room.palette.uniform(0, 2 * math.pi)
-    away = 1 / palette.uniform(1 / max(*room.high, 3.0), 1 / (room.clear + 0.2))
-    return away * math.sin(turn), away * math.cos(turn)
+    distance = 1 / palette.uniform(1 / max(*room.high, 3.0), 1 / (room.clear + 0.2))
+    return distance * math.sin(turn), distance * math.cos(turn)
 
 
 def _block(room: rooms.Room) -> None:
@@ -131,8 +131,8 @@ def _bars(room: rooms.Room) -> None:
             for k in range(rows + 1)]  # fmt: skip
     for k in range(count + 1 if up else 0):
         off = step * k - wide
-        middle = (x + off * along[0], y, z + off * along[1])
-        bars.append(Part("box", middle, (thick, high, thick), material, yaw=yaw))
+        center = (x + off * along[0], y, z + off * along[1])
+        bars.append(Part("box", center, (thick, high, thick), material, yaw=yaw))
     room.add(bars)
 
 

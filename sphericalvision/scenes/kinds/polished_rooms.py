@@ -44,8 +44,8 @@ def _polish(room: rooms.Room) -> None:
     """Give the floor, which is the first part of a shell, a material that mirrors."""
     palette = room.palette
     names = ("marble", "tiles", "noise", "checks")
-    share = palette.uniform(0.33, 0.75)
-    ground = palette.patterned(names, palette.uniform(1.0, 2.5), palette.uniform(0.1, 0.7), mirror=share)
+    fraction = palette.uniform(0.33, 0.75)
+    ground = palette.patterned(names, palette.uniform(1.0, 2.5), palette.uniform(0.1, 0.7), mirror=fraction)
     room.parts[0] = replace(room.parts[0], material=ground)
 
 

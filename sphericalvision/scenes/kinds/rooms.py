@@ -256,10 +256,10 @@ def add_window(room: Room, side: int, opening: Opening) -> None:
     ]
     room.add(labelled(place(bars, x, 0.0, z, yaw), "window"))
     if palette.chance(0.6):
-        away = palette.uniform(3.0, 15.0)
-        view = palette.photograph(palette.uniform(0.8, 1.6) * away, emission=palette.uniform(0.3, 0.7))
-        wide = (along - 6 * away, along + 6 * away, down - 6 * away, down + 6 * away)
-        room.parts += labelled(wall_piece(view, yaw, x, z, wide, casts=False, lift=-away), "window")
+        distance = palette.uniform(3.0, 15.0)
+        view = palette.photograph(palette.uniform(0.8, 1.6) * distance, emission=palette.uniform(0.3, 0.7))
+        wide = (along - 6 * distance, along + 6 * distance, down - 6 * distance, down + 6 * distance)
+        room.parts += labelled(wall_piece(view, yaw, x, z, wide, casts=False, lift=-distance), "window")
 
 
 def hang_lamps(room: Room, count: int) -> None:
@@ -300,21 +300,21 @@ def furnish(room: Room, count: int) -> None:
     (x0, z0), (x1, z1) = room.low, room.high
     for _ in range(count):
         if palette.chance(0.5):
-            parts = make_piece(palette.choose(AGAINST_WALLS), palette)
+            pieces = make_piece(palette.choose(AGAINST_WALLS), palette)
             yaw, x, z, start, end = palette.choose(room.sides())
-            depth = max(part.half[2] - part.center[2] for part in parts) + 0.03
-            width = max(abs(part.center[0]) + part.half[0] for part in parts)
+            depth = max(part.half[2] - part.center[2] for part in pieces) + 0.03
+            width = max(abs(part.center[0]) + part.half[0] for part in pieces)
             if end - start < 2 * width:
                 continue
             along = palette.uniform(start + width, end - width)
             # Walls look outwards in their frame; furniture looks into the room.
             spot = place([Part("box", (along, 0.0, -depth), (1.0, 1.0, 1.0))], x, 0.0, z, yaw)[0].center
-            room.stand(parts, spot[0], spot[2], yaw + math.pi)
+            room.stand(pieces, spot[0], spot[2], yaw + math.pi)
         else:
-            parts = make_piece(palette.choose(FREE_STANDING), palette)
-            edge = min(footprint_radius(parts), 0.45 * min(x1 - x0, z1 - z0))
+            pieces = make_piece(palette.choose(FREE_STANDING), palette)
+            edge = min(footprint_radius(pieces), 0.45 * min(x1 - x0, z1 - z0))
             spot_x, spot_z = palette.uniform(x0 + edge, x1 - edge), palette.uniform(z0 + edge, z1 - edge)
-            room.stand(parts, spot_x, spot_z, palette.uniform(0, 2 * math.pi))
+            room.stand(pieces, spot_x, spot_z, palette.uniform(0, 2 * math.pi))
 
 
 def decorate(room: Room, rug: bool = True) -> None:
@@ -339,8 +339,8 @@ def decorate(room: Room, rug: bool = True) -> None:
     if rug and palette.chance(0.5):
         (x0, z0), (x1, z1) = room.low, room.high
         half = (palette.uniform(0.2, 0.4) * (x1 - x0), 0.004, palette.uniform(0.2, 0.4) * (z1 - z0))
-        middle = ((x0 + x1) / 2, room.floor - 0.004, (z0 + z1) / 2)
-        rug_on_floor = Part("box", middle, half, palette.any_surface(1.5), casts_shadow=False)
+        center = ((x0 + x1) / 2, room.floor - 0.004, (z0 + z1) / 2)
+        rug_on_floor = Part("box", center, half, palette.any_surface(1.5), casts_shadow=False)
         room.add(labelled([rug_on_floor], "floor"))
 
 

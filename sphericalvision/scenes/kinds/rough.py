@@ -36,15 +36,15 @@ def random_rough_place(generator: torch.Generator, clear_radius: float = 0.6) ->
     palette = Palette(generator)
     lampless, plain = palette.chance(LAMPLESS), palette.choose((0.05, 0.1, 0.5))
     is_open = palette.chance(OPEN)
-    parts = _slope(palette, clear_radius, plain) if is_open else _hollow(palette, clear_radius, plain)
-    far = 20.0 if is_open else max(parts[0].half)
+    pieces = _slope(palette, clear_radius, plain) if is_open else _hollow(palette, clear_radius, plain)
+    far = 20.0 if is_open else max(pieces[0].half)
     for _ in range(palette.integer(3, 18)):
-        part = _boulder(palette, far, clear_radius, plain)
-        if _clear(part, clear_radius):
-            parts.append(part)
+        boulder = _boulder(palette, far, clear_radius, plain)
+        if _clear(boulder, clear_radius):
+            pieces.append(boulder)
     lamps = [] if lampless else lamps_near(palette, clear_radius, palette.uniform(2.0, 5.0), is_open)
     return palette.scene(
-        parts,
+        pieces,
         lamps,
         ambient=torch.full((3,), 1.0 if lampless else palette.uniform(0.15, 0.5)),
     )
@@ -56,27 +56,27 @@ def _clear(part: Part, clear: float) -> bool:
 
 def _hollow(palette: Palette, clear: float, plain: float) -> list[Part]:
     """One to three shapes around the origin; what is seen from inside is the nearest of their far sides."""
-    parts = []
+    pieces = []
     alike = any_picture(palette, plain, 6.0) if palette.chance(0.3) else None
     for _ in range(palette.integer(1, 3)):
         shape = palette.choose(("ellipsoid", "box", "cylinder"))
         half = tuple(palette.log_uniform(clear + 0.3, 9.0) for _ in range(3))
         # A point s of the way from the centre of a convex body to a point of its surface has a ball of (1 - s) times
         # the least half size around it that is inside: the body shrunk by 1 - s towards that point of the surface.
-        share = palette.uniform() * (1 - (clear + 0.1) / min(half))
-        away = [palette.uniform(-1, 1) for _ in range(3)]
+        fraction = palette.uniform() * (1 - (clear + 0.1) / min(half))
+        offset = [palette.uniform(-1, 1) for _ in range(3)]
         reach = {
-            "ellipsoid": math.hypot(*away),
-            "box": max(map(abs, away)),
-            "cylinder": max(math.hypot(away[0], away[2]), abs(away[1])),
+            "ellipsoid": math.hypot(*offset),
+            "box": max(map(abs, offset)),
+            "cylinder": max(math.hypot(offset[0], offset[2]), abs(offset[1])),
         }[shape]
-        local = [share * a * h / reach for a, h in zip(away, half, strict=True)]
+        local = [fraction * a * h / reach for a, h in zip(offset, half, strict=True)]
         rotation = palette.rotation()
         x, y, z = (-sum(row[k] * c for row, c in zip(rotation, local, strict=True)) for k in range(3))
         material = any_picture(palette, plain, 2 * max(half)) if alike is None else alike
         size = (half[0], half[1], half[2])
-        parts.append(Part(shape, (x, y, z), size, material, rotation=rotation, casts_shadow=False))
-    return parts
+        pieces.append(Part(shape, (x, y, z), size, material, rotation=rotation, casts_shadow=False))
+    return pieces
 
 
 def _slope(palette: Palette, clear: float, plain: float) -> list[Part]:
@@ -94,7 +94,7 @@ def _slope(palette: Palette, clear: float, plain: float) -> list[Part]:
     frame = [list(along), list(down), list(up)]
     ground = any_picture(palette, 0.3 * plain, palette.log_uniform(0.7, 8.0))
     origin = (-below * up[0], -below * up[1], -below * up[2])
-    parts = [Part("rectangle", origin, (GROUND, GROUND, 1.0), ground, rotation=frame, casts_shadow=False)]
+    pieces = [Part("rectangle", origin, (GROUND, GROUND, 1.0), ground, rotation=frame, casts_shadow=False)]
     for _ in range(palette.integer(0, 6)):
         away, side = palette.log_uniform(3.0, 60.0), palette.uniform(0, 2 * math.pi)
         wide, high, deep = away * palette.uniform(0.2, 0.8), away * palette.uniform(0.05, 0.4), away * 0.5
@@ -107,17 +107,17 @@ def _slope(palette: Palette, clear: float, plain: float) -> list[Part]:
         material = ground if palette.chance(0.4) else any_picture(palette, plain, wide)
         hill = Part("ellipsoid", center, (wide, deep, high), material, rotation=frame)
         if _clear(hill, clear):
-            parts.append(hill)
-    return parts
+            pieces.append(hill)
+    return pieces
 
 
 def _boulder(palette: Palette, far: float, clear: float, plain: float) -> Part:
     """A ball, block or long beam in any direction and attitude, at even inverse distances."""
-    away = 1 / palette.uniform(1 / max(far, clear + 0.6), 1 / (clear + 0.3))
+    distance = 1 / palette.uniform(1 / max(far, clear + 0.6), 1 / (clear + 0.3))
     height, turn = palette.uniform(-1, 1), palette.uniform(0, 2 * math.pi)
     across = math.sqrt(1 - height**2)
-    center = (away * across * math.sin(turn), away * height, away * across * math.cos(turn))
-    size = away * palette.log_uniform(0.05, 0.6)
+    center = (distance * across * math.sin(turn), distance * height, distance * across * math.cos(turn))
+    size = distance * palette.log_uniform(0.05, 0.6)
     shape = palette.choose(("ellipsoid", "ellipsoid", "box", "cylinder"))
     wide, high, deep = (size * palette.uniform(0.3, 1.0) for _ in range(3))
     if palette.chance(0.2):

@@ -68,16 +68,16 @@ def random_ruins(generator: torch.Generator, clear_radius: float = 0.6) -> Scene
             if i < bays and k < bays and palette.chance(roofed):
                 parts += _roof(site, off(corner, step / 2**0.5, math.pi / 4))
     for _ in range(palette.integer(4, 14)):
-        away = 1 / palette.uniform(1 / 12.0, 1 / (clear_radius + 0.3))
-        spot = off(HERE, away, palette.uniform(0, 7), -floor)
+        distance = 1 / palette.uniform(1 / 12.0, 1 / (clear_radius + 0.3))
+        spot = off(HERE, distance, palette.uniform(0, 7), -floor)
         if palette.chance(0.3):
             parts += palette.choose((_stairs, _pipe))(site, spot)
         else:
             parts += clutter(palette, spot, *palette.choose(FALLEN))
     for _ in range(palette.integer(0, 5)):
-        away = palette.log_uniform(15.0, 150.0)
-        tower = ((1, 3), (0.1 * away, 0.4 * away), 0.3, 0.0, (0.1, 0.5))
-        parts += clutter(palette, off(HERE, away, palette.uniform(0, 7), -floor), *tower)
+        distance = palette.log_uniform(15.0, 150.0)
+        tower = ((1, 3), (0.1 * distance, 0.4 * distance), 0.3, 0.0, (0.1, 0.5))
+        parts += clutter(palette, off(HERE, distance, palette.uniform(0, 7), -floor), *tower)
     ground = level(0.0, floor, 0.0, GROUND, GROUND, weathered(palette, 2 * step, MASONRY))
     return in_weather(palette, [ground], parts, clear_radius, foggy=0.15)
 
@@ -90,8 +90,8 @@ def _wall(site: _Site, corner: Point, to: float) -> list[Part]:
     for k in range(count):
         top = site.high * (palette.uniform(0.15, 1.0) if broken else 1.0)
         for low, up in palette.choose(spans) if count > 1 else spans[0]:
-            middle = off(corner, (k + 0.5) * wide, to, (low + up) / 2 * top)
-            parts.append(Part("box", middle, (site.thick, (up - low) / 2 * top, wide / 2), material, yaw=to))
+            center = off(corner, (k + 0.5) * wide, to, (low + up) / 2 * top)
+            parts.append(Part("box", center, (site.thick, (up - low) / 2 * top, wide / 2), material, yaw=to))
     return parts
 
 
@@ -101,8 +101,8 @@ def _arch(site: _Site, corner: Point, to: float) -> list[Part]:
     foot, rise = palette.uniform(0.3, 0.9) * site.high, palette.uniform(0.2, 0.7) * site.step
     turns, side = [math.pi * k / pieces for k in range(pieces + 1)], to + math.pi / 2
     line = [off(corner, site.step * (0.5 - 0.5 * math.cos(a)), to, foot + rise * math.sin(a)) for a in turns]
-    parts = [beam(a, b, (site.thick, 0.7 * site.thick), material, to=side) for a, b in pairwise(line)]
-    return parts + _column(site, corner, foot) + _column(site, off(corner, site.step, to), foot)
+    beams = [beam(a, b, (site.thick, 0.7 * site.thick), material, to=side) for a, b in pairwise(line)]
+    return beams + _column(site, corner, foot) + _column(site, off(corner, site.step, to), foot)
 
 
 def _column(site: _Site, foot: Point, high: float) -> list[Part]:
@@ -110,8 +110,8 @@ def _column(site: _Site, foot: Point, high: float) -> list[Part]:
     whole, material, thick = site.palette.chance(0.8), site.material(), site.thick
     high *= 1.0 if whole else site.palette.uniform(0.1, 0.8)
     shape, ends = site.palette.choose(("cylinder", "box")), (0.05, high)[: 1 + whole]
-    parts = [Part("box", off(foot, 0, 0, up), (1.6 * thick, 0.08, 1.6 * thick), material) for up in ends]
-    return [*parts, beam(foot, off(foot, 0, 0, high), (1.2 * thick, 1.2 * thick), material, shape, to=0.0)]
+    pieces = [Part("box", off(foot, 0, 0, up), (1.6 * thick, 0.08, 1.6 * thick), material) for up in ends]
+    return [*pieces, beam(foot, off(foot, 0, 0, high), (1.2 * thick, 1.2 * thick), material, shape, to=0.0)]
 
 
 def _roof(site: _Site, middle: Point) -> list[Part]:

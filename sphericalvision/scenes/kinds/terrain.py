@@ -93,9 +93,9 @@ def beam(
     y = normalize(b - a, dim=0)
     x = normalize(hint - (hint @ y) * y, dim=0)
     frame = torch.stack([x, y, torch.linalg.cross(x, y)]).tolist()
-    middle = ((a + b) / 2).tolist()
+    center = ((a + b) / 2).tolist()
     size = (half[0], math.dist(start, end) / 2, half[1])
-    return Part(shape, (middle[0], middle[1], middle[2]), size, material, rotation=frame)
+    return Part(shape, (center[0], center[1], center[2]), size, material, rotation=frame)
 
 
 def clutter(
@@ -125,19 +125,21 @@ def _land(palette: Palette) -> list[Part]:
     steep, turn, rocky = palette.uniform(0, 0.25), palette.uniform(0, 7), palette.choose((0.0, 0.3, 0.9))
     ground = [weathered(palette, palette.log_uniform(1.5, 20.0)) for _ in range(3)]
     start, end = (off(HERE, side * GROUND, turn, side * GROUND * steep) for side in (-1, 1))
-    parts = [beam(start, end, (GROUND, 1.0), ground[0], "rectangle", turn + math.pi / 2)]
+    pieces = [beam(start, end, (GROUND, 1.0), ground[0], "rectangle", turn + math.pi / 2)]
     for number in range(palette.integer(20, 45)):
         far = number < 7
-        away = palette.log_uniform(12.0, 160.0) if far else palette.log_uniform(0.5, 40.0)
-        long = palette.uniform(0.2, 0.9) * away if far else palette.log_uniform(0.15, 0.9) * (away + 1)
+        distance = palette.log_uniform(12.0, 160.0) if far else palette.log_uniform(0.5, 40.0)
+        long = (
+            palette.uniform(0.2, 0.9) * distance if far else palette.log_uniform(0.15, 0.9) * (distance + 1)
+        )
         wide, high = long * palette.uniform(0.3, 1.0), long * palette.uniform(0.05, 0.6 if far else 0.3)
         to, side = palette.uniform(0, 7), palette.uniform(0, 7)
-        middle = off(HERE, away, to, away * steep * math.cos(to - turn))
-        start, end = (off(middle, k * long, side, k * long * 0.2) for k in (-1, 1))
+        center = off(HERE, distance, to, distance * steep * math.cos(to - turn))
+        start, end = (off(center, k * long, side, k * long * 0.2) for k in (-1, 1))
         material = palette.choose(ground) if palette.chance(0.8) else weathered(palette, long)
         shape = "box" if palette.chance(rocky) else "ellipsoid"
-        parts.append(beam(start, end, (wide, high), material, shape, side + math.pi / 2))
-    return parts
+        pieces.append(beam(start, end, (wide, high), material, shape, side + math.pi / 2))
+    return pieces
 
 
 def _on(land: list[Part], spots: list[Point]) -> list[Point]:
@@ -160,16 +162,16 @@ def _house(palette: Palette, spot: Point) -> list[Part]:
         return []
     wide, high, deep = (palette.uniform(1.0, 4.0) for _ in range(3))
     yaw, (wall, roof, pane) = palette.uniform(0, math.pi), [weathered(palette, 3.0) for _ in range(3)]
-    parts = [Part("box", off(spot, 0, 0, high - 1), (wide, high + 1, deep), wall, yaw=yaw)]
+    pieces = [Part("box", off(spot, 0, 0, high - 1), (wide, high + 1, deep), wall, yaw=yaw)]
     if palette.chance(0.7):
         ridge, sides = off(spot, 0, 0, 2 * high + 0.6 * wide), (yaw - math.pi / 2, yaw + math.pi / 2)
         eaves = [off(spot, 1.15 * wide, side, 2 * high - 0.2) for side in sides]
-        parts += [beam(eave, ridge, (1.1 * deep, 0.06), roof, to=yaw) for eave in eaves]
+        pieces += [beam(eave, ridge, (1.1 * deep, 0.06), roof, to=yaw) for eave in eaves]
     for _ in range(palette.integer(0, 5)):
         front = off(spot, deep, yaw + palette.choose((0.0, math.pi)), palette.uniform(0.3, 1.6) * high)
-        middle = off(front, palette.uniform(-0.7, 0.7) * wide, yaw + math.pi / 2)
-        parts.append(Part("box", middle, (0.12 * wide, 0.2 * high, 0.05), pane, yaw=yaw))
-    return parts
+        center = off(front, palette.uniform(-0.7, 0.7) * wide, yaw + math.pi / 2)
+        pieces.append(Part("box", center, (0.12 * wide, 0.2 * high, 0.05), pane, yaw=yaw))
+    return pieces
 
 
 def _fence(palette: Palette, land: list[Part]) -> list[Part]:
@@ -178,8 +180,8 @@ def _fence(palette: Palette, land: list[Part]) -> list[Part]:
     feet = _on(land, [off(start, k * step, to) for k in range(-4, 5)])
     high, thick = palette.uniform(0.8, 1.5) * step**0.5, palette.log_uniform(0.015, 0.08)
     material, thin = weathered(palette, 1.0), (0.4 * thick, 0.4 * thick)
-    parts = [beam(foot, off(foot, 0, 0, high), (thick, thick), material, "cylinder") for foot in feet]
+    pieces = [beam(foot, off(foot, 0, 0, high), (thick, thick), material, "cylinder") for foot in feet]
     for share in (1.0, 0.6, 0.3)[: palette.integer(1, 3)]:
         ends = [off(foot, 0, 0, share * high) for foot in feet]
-        parts += [beam(a, b, thin, material, "cylinder") for a, b in pairwise(ends)]
-    return parts
+        pieces += [beam(a, b, thin, material, "cylinder") for a, b in pairwise(ends)]
+    return pieces

@@ -39,10 +39,10 @@ def load_mesh(path: Path) -> trimesh.Scene:
     if header is not None:
         _check_ply_colours(path, header)
     # Else corners in one place would become one, of one of their colours. Formats without colours save memory by that.
-    apart: dict[str, Any] = {"process": False} if suffix in (".ply", ".obj") else {}
+    options: dict[str, Any] = {"process": False} if suffix in (".ply", ".obj") else {}
     try:
         with _complaints(folder.missing), path.open("rb") as file:
-            loaded = trimesh.load_scene(file, suffix[1:], resolver=folder, **apart)
+            loaded = trimesh.load_scene(file, suffix[1:], resolver=folder, **options)
         for part in loaded.geometry.values():
             if header is not None:
                 header.check_vertices(path, len(part.vertices))
@@ -115,11 +115,11 @@ class MeshFolder(Mapping[str, bytes]):
         """
         name = name.strip()
         for spelled in (name, unquote(name), name.replace("\\", "/").rpartition("/")[2]):
-            place = (self.folder / spelled).resolve()  # where links lead to
+            file = (self.folder / spelled).resolve()  # where links lead to
             if (
-                place.is_relative_to(self.folder) and place.is_file()
+                file.is_relative_to(self.folder) and file.is_file()
             ):  # no pipe, which could be waited for in vain
-                return place.read_bytes()
+                return file.read_bytes()
         self.missing.append(f"{name}: no such file below {self.folder}")
         raise MissingFileError(self.missing[-1])
 

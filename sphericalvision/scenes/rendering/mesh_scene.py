@@ -93,9 +93,9 @@ class MeshScene:
             raise ArgumentError(f"scale: expected metres in a unit of the mesh, above 0, got {scale}")
         parts, places = _placed(mesh)
         _check_size(parts, places)
-        turn = np.array(AXES[up])
+        rotation = np.array(AXES[up])
         vertices = [parts[number].vertices @ pose[:3, :3].T + pose[:3, 3] for number, pose in places]
-        self.vertices = scale * (np.concatenate(vertices) - np.array(center)) @ turn.T
+        self.vertices = scale * (np.concatenate(vertices) - np.array(center)) @ rotation.T
         starts = np.cumsum([0, *map(len, vertices)])
         faces = [parts[number].faces + start for (number, _), start in zip(places, starts, strict=False)]
         self.faces = np.concatenate(faces)
@@ -159,12 +159,12 @@ class MeshScene:
         hit = (face >= 0) & distance.isfinite()
         points = origin.double() + distance[hit, None].double() * directions[hit].double()
         values = self._interpolated(points, face[hit])
-        part = self.part_of_face[face[hit]]
-        shown = values.clone()
+        piece = self.part_of_face[face[hit]]
+        colors = values.clone()
         for number, texture in enumerate(self.textures):
-            if texture is not None and bool((mine := part == number).any()):
-                shown[mine] = texture.sample(values[mine, :2])
-        color[hit] = shown
+            if texture is not None and bool((mine := piece == number).any()):
+                colors[mine] = texture.sample(values[mine, :2])
+        color[hit] = colors
         return color
 
     def _interpolated(self, points: Tensor, face: Tensor) -> Tensor:
@@ -237,10 +237,10 @@ def _placed(mesh: trimesh.Trimesh | trimesh.Scene) -> tuple[list[trimesh.Trimesh
 
     if isinstance(mesh, trimesh.Trimesh):
         return [mesh], [(0, np.eye(4))]
-    parts = {name: part for name, part in mesh.geometry.items() if isinstance(part, trimesh.Trimesh)}
-    numbers = {name: number for number, name in enumerate(parts)}
+    pieces = {name: part for name, part in mesh.geometry.items() if isinstance(part, trimesh.Trimesh)}
+    numbers = {name: number for number, name in enumerate(pieces)}
     poses = [mesh.graph[node] for node in mesh.graph.nodes_geometry]
-    return list(parts.values()), [(numbers[name], pose) for pose, name in poses if name in numbers]
+    return list(pieces.values()), [(numbers[name], pose) for pose, name in poses if name in numbers]
 
 
 def _check_size(parts: list[trimesh.Trimesh], places: list[tuple[int, Array]]) -> None:

@@ -101,15 +101,15 @@ class Primitives:
     def columns(self) -> Columns:
         """The table as intersections need it."""
         order = torch.cat([(self.shape == SHAPES.index(name)).nonzero()[:, 0] for name in SHAPES])
-        place = torch.empty_like(order)
-        place[order] = torch.arange(len(order), device=order.device)
+        ranks = torch.empty_like(order)
+        ranks[order] = torch.arange(len(order), device=order.device)
         frame = self.local_from_world[order].permute(1, 2, 0).contiguous()
         box = torch.ones_like(self.half)
         box[self.shape == SHAPES.index("rectangle"), 2] = 0
         counts = torch.bincount(self.shape, minlength=len(SHAPES)).tolist()
         return Columns(
             order=order,
-            place=place,
+            place=ranks,
             starts=tuple(sum(counts[:k]) for k in range(len(SHAPES) + 1)),
             frame=frame,
             offset=(frame * self.center[order].T).sum(1),

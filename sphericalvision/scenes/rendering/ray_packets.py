@@ -89,8 +89,8 @@ def candidate_pairs(
         own: ``(b,)`` one row for each packet that it is known not to meet, or -1.
     """
     table = primitives.columns
-    turn = table.frame.permute(0, 2, 1).flatten(0, 1)  # rows: axis, primitive
-    size = turn.abs()
+    rotation = table.frame.permute(0, 2, 1).flatten(0, 1)  # rows: axis, primitive
+    size = rotation.abs()
     origin, around = _box(rays.origin)
     direction, spread = _box(rays.direction)
     spread = torch.zeros_like(direction) if spread is None else spread
@@ -99,19 +99,19 @@ def candidate_pairs(
         return (by @ world).view(3, len(table.order), -1)
 
     # A slab is its own mirror image, so only distance and speed relative to its middle count, not the side of a packet.
-    start = local(turn, origin).sub_(table.offset[..., None])
-    away = start.abs()
-    width = torch.add(table.box[..., None] + MARGIN, away, alpha=ROUNDING)
+    start = local(rotation, origin).sub_(table.offset[..., None])
+    distance = start.abs()
+    width = torch.add(table.box[..., None] + MARGIN, distance, alpha=ROUNDING)
     if around is not None:
         width += local(size, around)
-    outside = away - width
-    toward = local(turn, direction).mul_(-start.sign())  # speed towards the slab's middle
+    outside = distance - width
+    toward = local(rotation, direction).mul_(-start.sign())  # speed towards the slab's middle
     either = local(size, spread)
     most, least = toward + either, toward.sub_(either)
     enter = outside.clamp(min=0) / most.clamp(min=TINY)
     # Reciprocals of the times of leaving: by the far side, or, having started inside, by the near one. Rays along a
     # slab never leave it, for which a reciprocal is 0 and no infinity has to be treated apart.
-    rate = torch.maximum(least.div_(width + away), most.div_(outside.clamp(max=-TINY))).amax(0)
+    rate = torch.maximum(least.div_(width + distance), most.div_(outside.clamp(max=-TINY))).amax(0)
     soonest = 1 / FAR if limit is None else limit.amax(-1).clamp_(min=TINY).reciprocal_()
     rate = torch.maximum(rate, torch.as_tensor(soonest).to(rate))
     possible = enter.amax(0).mul_(rate) <= 1  # (P, b)
@@ -119,8 +119,8 @@ def candidate_pairs(
         packets = (own >= 0).nonzero()[:, 0]
         possible[table.place[own[packets]], packets] = False
     place, packet = possible.nonzero(as_tuple=True)
-    near = ((outside - NEAREST / table.half[..., None]).amax(0) <= 0).expand_as(possible)
-    return CandidatePairs(place, packet, near[place, packet])
+    reachable = ((outside - NEAREST / table.half[..., None]).amax(0) <= 0).expand_as(possible)
+    return CandidatePairs(place, packet, reachable[place, packet])
 
 
 def _box(vectors: Tensor) -> tuple[Tensor, Tensor | None]:

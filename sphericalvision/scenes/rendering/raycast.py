@@ -83,13 +83,13 @@ def trace(primitives: Primitives, origin: Float[Tensor, " 3"], directions: Float
     """
     check_last_dim("directions", directions, 3)
     rays, size = packed(directions.reshape(-1, 3).T.contiguous()), chunk_size(directions.device)
-    parts = [
+    chunks = [
         first_hits(primitives, RayPackets(origin[:, None, None], part.contiguous()))
         for part in rays.split(size, 1)
     ]
     distance, primitive = (
         torch.cat(column).flatten()[: directions.numel() // 3].view(directions.shape[:-1])
-        for column in zip(*parts, strict=True)
+        for column in zip(*chunks, strict=True)
     )
     return Hit(distance, primitive)
 
@@ -148,8 +148,8 @@ def blocked(primitives: Primitives, rays: RayPackets, limit: Tensor, own: Tensor
             # Of a primitive that a ray starts in only the far side counts.
             last = leave.index_select(0, inside)
             behind = torch.minimum(last - NEAREST, end.index_select(0, inside) - last)
-            ahead = enter.index_select(0, inside) > NEAREST
-            shared.index_copy_(0, inside, torch.where(ahead, shared.index_select(0, inside), behind))
+            in_front = enter.index_select(0, inside) > NEAREST
+            shared.index_copy_(0, inside, torch.where(in_front, shared.index_select(0, inside), behind))
         most.scatter_reduce_(0, pairs.packet[:, None].expand_as(shared), shared, "amax")
     return most >= 0
 
@@ -170,10 +170,10 @@ def _intersections(
     for intersect, start, end in zip(INTERSECTIONS, ends, ends[1:], strict=False):
         for first in range(start, end, size):
             some = CandidatePairs(*(column[first : min(first + size, end)] for column in pairs))
-            turn = table.frame.flatten(0, 1).index_select(1, some.place).view(3, 3, -1, 1)
-            o = _turned(turn, _of(rays.origin, some.packet))
+            rotation = table.frame.flatten(0, 1).index_select(1, some.place).view(3, 3, -1, 1)
+            o = _turned(rotation, _of(rays.origin, some.packet))
             o -= table.offset.index_select(1, some.place)[..., None]
-            yield some, *intersect(o, _turned(turn, _of(rays.direction, some.packet)))
+            yield some, *intersect(o, _turned(rotation, _of(rays.direction, some.packet)))
 
 
 def _of(vectors: Tensor, packet: Tensor) -> Tensor:
@@ -195,18 +195,18 @@ def intersect_rectangle(o: Tensor, d: Tensor) -> Span:
     """The time at which z = 0, twice, where |x| and |y| stay below 1."""
     back = o[2] / (d[2] + TINY)
     x, y = torch.addcmul(o[:2], d[:2], back, value=-1).abs_()
-    beyond = torch.maximum(x, y).sub_(1).clamp_(min=0)
+    excess = torch.maximum(x, y).sub_(1).clamp_(min=0)
     time = back.neg_()
-    return torch.add(time, beyond, alpha=HUGE), time
+    return torch.add(time, excess, alpha=HUGE), time
 
 
 def intersect_box(o: Tensor, d: Tensor) -> Span:
     """When all coordinates stay in [-1, 1]."""
     inverse = (d + TINY).reciprocal_()
-    middle = o * inverse
+    closest = o * inverse
     reach = inverse.abs_()
-    enter = torch.add(middle, reach).amin(0).neg_()
-    return enter, reach.sub_(middle).amin(0)
+    enter = torch.add(closest, reach).amin(0).neg_()
+    return enter, reach.sub_(closest).amin(0)
 
 
 def intersect_round(o: Tensor, d: Tensor) -> Span:
@@ -214,12 +214,12 @@ def intersect_round(o: Tensor, d: Tensor) -> Span:
     # The discriminant is taken at the point of the ray that is nearest to the centre, where everything is small; the
     # textbook's b² - 4ac subtracts two large numbers there and loses what is left of a ball seen from afar.
     inverse = d.square().sum(0).clamp_(min=1e-18).reciprocal_()
-    middle = (o * d).sum(0).mul_(inverse)  # of the other sign
-    room = 1 - torch.addcmul(o, d, middle, value=-1).square_().sum(0)
+    closest = (o * d).sum(0).mul_(inverse)  # of the other sign
+    room = 1 - torch.addcmul(o, d, closest, value=-1).square_().sum(0)
     miss = room.clamp(max=0)
     reach = room.clamp_(min=0).mul_(inverse).sqrt_()
-    enter = (middle + reach).neg_()
-    return enter.sub_(miss, alpha=HUGE), reach.sub_(middle)
+    enter = (closest + reach).neg_()
+    return enter.sub_(miss, alpha=HUGE), reach.sub_(closest)
 
 
 def intersect_cylinder(o: Tensor, d: Tensor) -> Span:

@@ -215,9 +215,9 @@ def render_rig(
     cameras = list(rig.cameras.values())
     pictures: dict[int, Tensor] = {}
     for camera in {id(camera): camera for camera in cameras}.values():  # most rigs have one in all places
-        places = [place for place, other in enumerate(cameras) if other is camera]
-        taken = _pictures(scene, camera, rig.world_from_camera[places], samples_per_pixel)
-        pictures |= dict(zip(places, taken, strict=True))
+        indices = [place for place, other in enumerate(cameras) if other is camera]
+        images = _pictures(scene, camera, rig.world_from_camera[indices], samples_per_pixel)
+        pictures |= dict(zip(indices, images, strict=True))
     return {name: pictures[place] for place, name in enumerate(rig.names)}
 
 
@@ -266,7 +266,7 @@ def _exposed(scene: Scene | MeshScene, origin: Tensor, direction: Tensor, spread
     table, size = SurfaceTable.of(scene), chunk_size(direction.device)
     light = torch.empty_like(direction)
     for start in range(0, direction.shape[1], size):
-        part = slice(start, start + size)
-        rays = RayPackets(origin[:, None, None], direction[:, part].contiguous())
-        light[:, part] = radiance(scene, table, rays, spread[part])
+        chunk = slice(start, start + size)
+        rays = RayPackets(origin[:, None, None], direction[:, chunk].contiguous())
+        light[:, chunk] = radiance(scene, table, rays, spread[chunk])
     return light * scene.exposure

@@ -156,8 +156,8 @@ def pack_materials(materials: Sequence[Material]) -> Materials:
     def column(values: list) -> Tensor:
         return torch.tensor(values, dtype=torch.float32)
 
-    turn = column([m.turn for m in materials])
-    rotation = torch.stack([turn.cos(), -turn.sin(), turn.sin(), turn.cos()], -1).reshape(-1, 2, 2)
+    angle = column([m.turn for m in materials])
+    rotation = torch.stack([angle.cos(), -angle.sin(), angle.sin(), angle.cos()], -1).reshape(-1, 2, 2)
     return Materials(
         texture=torch.tensor([m.texture for m in materials]),
         dark=column([m.dark for m in materials]),

@@ -49,10 +49,10 @@ class SurfaceTable:
     def of(cls, scene: Scene) -> SurfaceTable:
         """The table of a scene."""
         table, material = scene.materials, scene.primitives.material
-        turn = table.texture_from_surface[material]  # (P, 2, 2)
-        offset = (turn @ scene.primitives.uv_origin[:, :, None])[:, :, 0] + table.offset[material]
-        density = turn.norm(dim=-1).amax(-1)
-        columns = [turn.flatten(1), offset, density[:, None], table.emission[material][:, None]]
+        rotation = table.texture_from_surface[material]  # (P, 2, 2)
+        offset = (rotation @ scene.primitives.uv_origin[:, :, None])[:, :, 0] + table.offset[material]
+        density = rotation.norm(dim=-1).amax(-1)
+        columns = [rotation.flatten(1), offset, density[:, None], table.emission[material][:, None]]
         dark = table.dark[material].T.contiguous()
         return cls(
             numbers=torch.cat(columns, 1).T.contiguous(),
@@ -136,8 +136,8 @@ def _surfaces(
             spot, ray, outward = (x.index_select(1, glossy) for x in (position.flatten(1), direction, normal))
             wider = packed(2 * spread.flatten()[glossy])
             seen = radiance(scene, table, _reflected(spot, ray, outward), wider, bounces - 1)
-            share = table.mirror.index_select(0, rows[glossy])
-            mixed = torch.lerp(light.index_select(1, glossy), seen.flatten(1)[:, : len(glossy)], share)
+            reflectance = table.mirror.index_select(0, rows[glossy])
+            mixed = torch.lerp(light.index_select(1, glossy), seen.flatten(1)[:, : len(glossy)], reflectance)
             _write(light, glossy, mixed)
     light = light.view_as(position)
     if scene.fog:
@@ -153,9 +153,9 @@ def _write(columns: Tensor, places: Tensor, values: Tensor) -> None:
 
 def _reflected(position: Tensor, ray: Tensor, normal: Tensor) -> RayPackets:
     """Mirrored rays of ``(3, n)`` points."""
-    away = torch.add(position, normal, alpha=SHADOW_GAP)
+    start = torch.add(position, normal, alpha=SHADOW_GAP)
     mirrored = torch.addcmul(ray, normal, (ray * normal).sum(0), value=-2)
-    return RayPackets(packed(away), packed(mirrored))
+    return RayPackets(packed(start), packed(mirrored))
 
 
 def _albedo(
@@ -265,9 +265,9 @@ def normals_and_uv(
             length = (x * x).addcmul_(y, y).addcmul_(z, z).rsqrt_()
             _write(normal, on, torch.stack([x, y, z]).mul_(length))
             _write(uv, on, along)
-    away = (normal * direction).sum(0) > 0
-    normal.mul_(1 - 2 * away.to(normal.dtype))
-    return normal, uv, away.logical_and_(~flat.index_select(0, row))
+    faces_away = (normal * direction).sum(0) > 0
+    normal.mul_(1 - 2 * faces_away.to(normal.dtype))
+    return normal, uv, faces_away.logical_and_(~flat.index_select(0, row))
 
 
 def _ellipsoid(unit: Tensor, metres: Tensor, half: Tensor) -> tuple[Tensor, Tensor]:

@@ -306,7 +306,7 @@ def longitude_latitude_from_directions(
     x, y, z = components(moderate_lengths(directions))
     tiny = torch.finfo(z.dtype).tiny ** 0.5
     squared = torch.addcmul(x * x, z, z)
-    away = squared > torch.finfo(y.dtype).eps * y * y
-    x, z = (torch.where(away, side, side.detach()) for side in (x, z))
+    is_off_axis = squared > torch.finfo(y.dtype).eps * y * y
+    x, z = (torch.where(is_off_axis, side, side.detach()) for side in (x, z))
     longitude = torch.atan2(x, z + (tiny - squared.detach()).clamp_min(0))  # at a pole z is lifted off 0
     return longitude, torch.atan2(-y, (squared + tiny * tiny).sqrt())

@@ -66,8 +66,8 @@ def image_lookup(
     if (cubic or edges != "border") and not pixels.is_meta:
         ids = _leaving(u, v, seen, image_size, cubic)
         if len(ids):
-            near = from_components(*(position.flatten(-2)[..., ids] for position in (u, v)))
-            taps, weights = taps_across_edges(near, image_size, edges, cubic)
+            leaving = from_components(*(position.flatten(-2)[..., ids] for position in (u, v)))
+            taps, weights = taps_across_edges(leaving, image_size, edges, cubic)
             weights = weights * seen.flatten(-2)[..., ids].unsqueeze(-1)
             return SeamLookup(grid, seen, image_size, shares, cubic, ids, taps, weights)
     return ImageLookup(grid, seen, image_size, shares, cubic)
@@ -265,10 +265,10 @@ def taps_across_edges(
     column_weights = _kernel(u - columns, cubic)
     shifts = [torch.zeros_like(rows)]
     if edges == "sphere":
-        beyond = (rows < 0) | (rows >= height)
+        outside = (rows < 0) | (rows >= height)
         rows = torch.where(rows < 0, -1 - rows, torch.where(rows >= height, 2 * height - 1 - rows, rows))
         # An odd width has no pixel exactly behind, hence the mean of its two.
-        shifts = [torch.where(beyond, turn, 0) for turn in sorted({width // 2, (width + 1) // 2})]
+        shifts = [torch.where(outside, turn, 0) for turn in sorted({width // 2, (width + 1) // 2})]
     starts = rows.clamp(0, height - 1).unsqueeze(-1) * width
     weights = (row_weights.unsqueeze(-1) * column_weights.unsqueeze(-2)).flatten(-2) / len(shifts)
     ids = []
@@ -284,6 +284,6 @@ def _kernel(distance: Tensor, cubic: bool) -> Tensor:
     x = distance.abs()
     if not cubic:
         return 1 - x
-    near = (1.25 * x - 2.25) * x * x + 1
+    inner = (1.25 * x - 2.25) * x * x + 1
     far = ((-0.75 * x + 3.75) * x - 6) * x + 3
-    return torch.where(x <= 1, near, far)
+    return torch.where(x <= 1, inner, far)

@@ -44,8 +44,8 @@ def means_by_id(ids: Int[Tensor, " P"], size: int) -> MeansById:
     def table(of: Tensor, width: int) -> tuple[Tensor, Tensor]:
         number = torch.arange(width, device=ids.device)[:, None]
         present = number < counts[of]
-        places = in_order[(first[of] + number).clamp(max=len(ids) - 1)].where(present, 0)
-        return places, present / counts[of]
+        members = in_order[(first[of] + number).clamp(max=len(ids) - 1)].where(present, 0)
+        return members, present / counts[of]
 
     every = torch.arange(size, device=ids.device)
     others = (counts != usual).nonzero()[:, 0]

@@ -48,12 +48,12 @@ def checked_limits(
     bottom, top, left = _snapped(bottom, -math.pi / 2), _snapped(top, math.pi / 2), _snapped(left, -math.pi)
     if not -math.pi / 2 <= bottom < top <= math.pi / 2:
         raise ArgumentError(f"latitudes: expected (lower, upper) in radians, within ±π/2, got {latitudes}")
-    turn = _snapped(right - left, 2 * math.pi)
-    if not 0 < turn <= 2 * math.pi:
+    width_angle = _snapped(right - left, 2 * math.pi)
+    if not 0 < width_angle <= 2 * math.pi:
         raise ArgumentError(
             f"longitudes: expected (left, right) in radians, at most 2π apart, got {longitudes}"
         )
-    return (bottom, top), (left, left + turn)
+    return (bottom, top), (left, left + width_angle)
 
 
 def goes_around(longitudes: tuple[float, float]) -> bool:
@@ -73,17 +73,17 @@ def limits_in_words(latitudes: tuple[float, float], longitudes: tuple[float, flo
         >>> limits_in_words((-math.pi / 4, math.pi / 4), (0, math.pi))
         ', latitudes within 45.0°, longitudes 0.0° to 180.0°'
     """
-    parts = []
+    rows = []
     for name, limits, whole in (
         ("latitudes", latitudes, ALL_LATITUDES),
         ("longitudes", longitudes, ALL_LONGITUDES),
     ):
         low, high = map(math.degrees, limits)
         if limits != whole:
-            parts.append(
+            rows.append(
                 f", {name} " + (f"within {high:.1f}°" if low == -high else f"{low:.1f}° to {high:.1f}°")
             )
-    return "".join(parts)
+    return "".join(rows)
 
 
 def longitude_within(
@@ -95,11 +95,11 @@ def longitude_within(
         >>> longitude_within(torch.tensor([-3.0, 3.0]), (2.0, 4.0))
         tensor([3.2832, 3.0000])
     """
-    middle = (longitudes[0] + longitudes[1]) / 2
-    if middle == 0:
+    center = (longitudes[0] + longitudes[1]) / 2
+    if center == 0:
         return longitude
-    turns = torch.round((middle - longitude.detach()) / (2 * math.pi))
-    return longitude + turns * (2 * math.pi)
+    revolutions = torch.round((center - longitude.detach()) / (2 * math.pi))
+    return longitude + revolutions * (2 * math.pi)
 
 
 def _snapped(value: float, whole: float) -> float:

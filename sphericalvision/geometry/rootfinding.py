@@ -129,19 +129,19 @@ def increasing_limit(
         )  # the same place where all samples rise, or none does
         positive, negative = slope.gather(-1, last), slope.gather(-1, following)
         for _ in range(refinements):
-            middle = _false_position(low, high, positive, negative)
-            slope = derivative(middle)
+            estimate = _false_position(low, high, positive, negative)
+            slope = derivative(estimate)
             above = slope > 0
-            low, positive = torch.where(above, middle, low), torch.where(above, slope, positive)
-            high, negative = torch.where(above, high, middle), torch.where(above, negative, slope)
+            low, positive = torch.where(above, estimate, low), torch.where(above, slope, positive)
+            high, negative = torch.where(above, high, estimate), torch.where(above, negative, slope)
         limit = _false_position(low, high, positive, negative)
         return torch.where(rising < samples, limit, upper.unsqueeze(-1)).squeeze(-1)
 
 
 def _false_position(low: Tensor, high: Tensor, positive: Tensor, negative: Tensor) -> Tensor:
     """Where the straight line from (low, positive) to (high, negative) meets 0."""
-    share = (positive / (positive - negative)).nan_to_num(0.0).clamp(0, 1)
-    return torch.lerp(low, high, share)
+    fraction = (positive / (positive - negative)).nan_to_num(0.0).clamp(0, 1)
+    return torch.lerp(low, high, fraction)
 
 
 def refine_root(
@@ -215,15 +215,15 @@ class InverseTable(NamedTuple):
         """
         with torch.no_grad():
             size = self.knots.shape[-1]
-            place = (size - 1) * _place(value.detach() / self.limit).nan_to_num(0.0)
-            below = place.floor()
+            position = (size - 1) * _place(value.detach() / self.limit).nan_to_num(0.0)
+            below = position.floor()
             index = below.int()
             if self.limit.numel() > 1:
                 tables = torch.arange(self.limit.numel(), dtype=torch.int32, device=index.device)
                 index = index + size * tables.reshape(self.limit.shape)
             flat = index.reshape(-1)
             knot, step = (table.reshape(-1).index_select(0, flat) for table in (self.knots, self.steps))
-            return torch.addcmul(knot.reshape(index.shape), place - below, step.reshape(index.shape))
+            return torch.addcmul(knot.reshape(index.shape), position - below, step.reshape(index.shape))
 
 
 def samples_towards(upper: Float[Tensor, "*batch"], samples: int = 512) -> Float[Tensor, "*batch n"]:
@@ -233,8 +233,8 @@ def samples_towards(upper: Float[Tensor, "*batch"], samples: int = 512) -> Float
         >>> samples_towards(torch.tensor(16.0), 5).tolist()
         [0.0, 7.0, 12.0, 15.0, 16.0]
     """
-    share = torch.linspace(1, 0, samples, dtype=upper.dtype, device=upper.device)
-    return upper.unsqueeze(-1) * (1 - share * share)
+    fraction = torch.linspace(1, 0, samples, dtype=upper.dtype, device=upper.device)
+    return upper.unsqueeze(-1) * (1 - fraction * fraction)
 
 
 def tabulate_inverse(
@@ -257,12 +257,12 @@ def tabulate_inverse(
     """
     with torch.no_grad():
         arguments = arguments.expand(values.shape)
-        places = _place(values / values[..., -1:]).contiguous()
+        positions = _place(values / values[..., -1:]).contiguous()
         targets = torch.linspace(0, 1, size, dtype=values.dtype, device=values.device)
-        targets = targets + torch.zeros_like(places[..., :1])  # batched by vmap if the places are
-        above = torch.searchsorted(places, targets).clamp(1, values.shape[-1] - 1)
-        low, high = places.gather(-1, above - 1), places.gather(-1, above)
-        share = ((targets - low) / (high - low)).nan_to_num(0.0).clamp(0, 1)
-        knots = torch.lerp(arguments.gather(-1, above - 1), arguments.gather(-1, above), share)
+        targets = targets + torch.zeros_like(positions[..., :1])  # batched by vmap if the places are
+        above = torch.searchsorted(positions, targets).clamp(1, values.shape[-1] - 1)
+        low, high = positions.gather(-1, above - 1), positions.gather(-1, above)
+        fraction = ((targets - low) / (high - low)).nan_to_num(0.0).clamp(0, 1)
+        knots = torch.lerp(arguments.gather(-1, above - 1), arguments.gather(-1, above), fraction)
         steps = torch.cat((knots.diff(dim=-1), torch.zeros_like(knots[..., :1])), dim=-1)
         return InverseTable(values[..., -1], knots, steps)

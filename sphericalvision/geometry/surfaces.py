@@ -47,8 +47,8 @@ def distance_along(
         """The share of the way to the surface that is left ``(*k, n)``: negative behind it, NaN where unknown."""
         points = (start + distances[..., None] * rays[which]).reshape(-1, 3)
         norm = points.norm(dim=-1)
-        share = 1 - norm * inverse_depth(points / norm.clamp(min=1e-9)[:, None])
-        return share.view(distances.shape)
+        margin = 1 - norm * inverse_depth(points / norm.clamp(min=1e-9)[:, None])
+        return margin.view(distances.shape)
 
     nearest = max(min_depth - float(start.norm()), 0.05 * min_depth)
     steps = 1 / torch.linspace(1 / nearest, 1 / (FARTHEST * min_depth), STEPS, dtype=torch.float64)
@@ -60,18 +60,18 @@ def distance_along(
     first = 1
     while first < len(steps) and len(waiting):
         last = min(first + max(1, AT_ONCE // len(waiting)), len(steps))
-        ahead = front_of(steps[first:last, None].expand(-1, len(waiting)), waiting)
-        was = torch.cat((in_front[None], ahead[:-1] > 0))
-        met = was & (ahead <= 0)
+        margins = front_of(steps[first:last, None].expand(-1, len(waiting)), waiting)
+        was = torch.cat((in_front[None], margins[:-1] > 0))
+        met = was & (margins <= 0)
         which, hit = met.int().argmax(0) + first, met.any(0)
         low[waiting[hit]], high[waiting[hit]] = steps[which[hit] - 1], steps[which[hit]]
-        waiting, in_front, first = waiting[~hit], (ahead[-1] > 0)[~hit], last
+        waiting, in_front, first = waiting[~hit], (margins[-1] > 0)[~hit], last
     hits = high.isfinite().nonzero()[:, 0]
     near, far = low[hits], high[hits]
     for _ in range(HALVINGS):
-        middle = _between(near, far)
-        front = front_of(middle, hits) > 0
-        near, far = torch.where(front, middle, near), torch.where(front, far, middle)
+        bisected = _between(near, far)
+        front = front_of(bisected, hits) > 0
+        near, far = torch.where(front, bisected, near), torch.where(front, far, bisected)
     distance = rays.new_full((len(rays),), math.nan)
     distance[hits] = _between(near, far)
     return distance

@@ -88,14 +88,16 @@ def _sums_of_taps(
     for right in (0, 1):
         for down in (0, 1):
             column, row = base[:, 0] + right, base[:, 1] + down
-            share = (part[:, 0] if right else 1 - part[:, 0]) * (part[:, 1] if down else 1 - part[:, 1])
+            bilinear_weight = (part[:, 0] if right else 1 - part[:, 0]) * (
+                part[:, 1] if down else 1 - part[:, 1]
+            )
             over = (row < 0) | (
                 row >= height
             )  # beyond a pole, on the other side: between two for an odd width
             row = row.clamp(0, height - 1)
             for turn in (width // 2, (width + 1) // 2):
                 wrapped = torch.where(over, column + turn, column) % width
-                entries.append((made, row * step + wrapped % step, wrapped // step, share / 2))
+                entries.append((made, row * step + wrapped % step, wrapped // step, bilinear_weight / 2))
     made, row, shift, weight = (torch.cat(parts) for parts in zip(*entries, strict=True))
     # The same pixel twice is one entry, and what has no weight is none.
     length = width // step

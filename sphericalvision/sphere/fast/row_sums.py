@@ -57,12 +57,12 @@ def row_sums(
     made = made[order]
     count = torch.bincount(made, minlength=num_made)
     first = count.cumsum(0) - count
-    place = torch.arange(len(made), device=made.device) - first[made]
+    rank = torch.arange(len(made), device=made.device) - first[made]
     unused = torch.arange(int(count.max()), device=made.device) >= count[:, None]
 
     def arranged(entries: Tensor) -> Tensor:
         table = entries.new_zeros(unused.shape)
-        table[made, place] = entries[order]
+        table[made, rank] = entries[order]
         return table
 
     row, shift = (torch.where(unused, table[:, :1], table) for table in (arranged(row), arranged(shift)))
@@ -72,11 +72,11 @@ def row_sums(
 def adjoint(sums: RowSums, num_rows: int, num_taps: int, length: int) -> RowSums:
     """The sums that gradients of the source are made of, one row for each row of the source and tap."""
     device = sums.row.device
-    made = torch.arange(len(sums.row), device=device)[:, None].expand_as(sums.row)
+    sources = torch.arange(len(sums.row), device=device)[:, None].expand_as(sums.row)
     used = torch.arange(sums.row.shape[1], device=device) < sums.needed[:, None]
-    made, row, shift, weight = made[used], sums.row[used], sums.shift[used], sums.weight[used]
-    place = row * num_taps + made % num_taps
-    return row_sums(place, made // num_taps, -shift % length, weight, num_rows * num_taps)
+    sources, row, shift, weight = sources[used], sums.row[used], sums.shift[used], sums.weight[used]
+    slots = row * num_taps + sources % num_taps
+    return row_sums(slots, sources // num_taps, -shift % length, weight, num_rows * num_taps)
 
 
 def conv_of_row_sums(
@@ -149,10 +149,10 @@ class _Convolution(torch.autograd.Function):
         grad_weight = torch.zeros_like(turned)
         grad_rows = []
         for sample, grad_sample in zip(rows, gradient, strict=True):
-            parts = []
+            chunks = []
             for place, read in _read(grad_sample, ctx.adjoint, num_taps):
                 if want_rows:
-                    parts.append(F.conv2d(read, turned, None, (num_taps, 1), groups=groups))
+                    chunks.append(F.conv2d(read, turned, None, (num_taps, 1), groups=groups))
                 if want_weight:
                     grad_weight += torch.ops.aten.convolution_backward(
                         sample[None, :, place].contiguous(memory_format=torch.channels_last),
@@ -167,7 +167,7 @@ class _Convolution(torch.autograd.Function):
                         groups,
                         (False, True, False),
                     )[1]
-            grad_rows += [torch.cat(parts, 2)] if want_rows else []
+            grad_rows += [torch.cat(chunks, 2)] if want_rows else []
         grad_weight = grad_weight.squeeze(-1).unflatten(0, (groups, -1)).transpose(1, 2).flatten(0, 1)
         return (
             torch.cat(grad_rows) if want_rows else None,
@@ -187,8 +187,8 @@ def _read(rows: Tensor, sums: RowSums, num_taps: int) -> Any:
     columns = torch.arange(length, dtype=torch.int32, device=rows.device)
     together = max(1, CACHE_BYTES // (num_taps * length * channels * rows.element_size()))
     for start in range(0, len(sums.row) // num_taps, together):
-        place = slice(start, min(start + together, len(sums.row) // num_taps))
-        taps = slice(place.start * num_taps, place.stop * num_taps)
+        chunk = slice(start, min(start + together, len(sums.row) // num_taps))
+        taps = slice(chunk.start * num_taps, chunk.stop * num_taps)
         most = int(sums.needed[taps].max().clamp(min=1))
         first = (sums.row[taps, :most] * (2 * length) + sums.shift[taps, :most]).to(columns)
         ids = first[:, None] + columns[:, None]
@@ -196,7 +196,7 @@ def _read(rows: Tensor, sums: RowSums, num_taps: int) -> Any:
         read = F.embedding_bag(
             ids.flatten(0, 1), pixels, mode="sum", per_sample_weights=weights.reshape(-1, most)
         )
-        yield place, read.view(1, -1, length, channels).permute(0, 3, 1, 2)
+        yield chunk, read.view(1, -1, length, channels).permute(0, 3, 1, 2)
 
 
 def _gathered(rows: Tensor, weight: Tensor, sums: RowSums, groups: int) -> Tensor:

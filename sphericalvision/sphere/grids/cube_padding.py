@@ -69,13 +69,13 @@ def faces_continued(
     """
     size = faces.shape[-1]
     # Only the border is looked up: the faces themselves are copied, which is much faster.
-    parts = _border(size, sides, faces.device)
-    row, column = (torch.cat([places.flatten() for places in pair]) for pair in zip(*parts, strict=True))
+    borders = _border(size, sides, faces.device)
+    row, column = (torch.cat([places.flatten() for places in pair]) for pair in zip(*borders, strict=True))
     ids = torch.stack(cube_border_ids(row, column, size))
-    shown = faces.flatten(-3).index_select(-1, ids.flatten()).unflatten(-1, tuple(ids.shape)).mean(-3)
-    strips = shown.split([places.numel() for places, _ in parts], -1)
+    values = faces.flatten(-3).index_select(-1, ids.flatten()).unflatten(-1, tuple(ids.shape)).mean(-3)
+    strips = values.split([places.numel() for places, _ in borders], -1)
     above, west, east, below = (
-        strip.unflatten(-1, tuple(places.shape)) for strip, (places, _) in zip(strips, parts, strict=True)
+        strip.unflatten(-1, tuple(places.shape)) for strip, (places, _) in zip(strips, borders, strict=True)
     )
     return torch.cat((above, torch.cat((west, faces, east), -1), below), -2)
 

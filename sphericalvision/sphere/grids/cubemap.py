@@ -93,9 +93,9 @@ class Cubemap(GridModule):
         face = from_components(x / lengths, y / lengths, 1 / lengths).view(-1, 3)
         rays = face @ world_from_cube_face(torch.float64, device).mT
         solid = (lengths**-3).view(-1, samples**2)  # a step in the plane is so much of solid angle
-        shares = (solid / solid.sum(-1, keepdim=True)).repeat(6, 1)
+        weights = (solid / solid.sum(-1, keepdim=True)).repeat(6, 1)
         dtype = dtype or self.directions.dtype
-        return rays.view(-1, samples**2, 3).to(dtype), shares.to(dtype)
+        return rays.view(-1, samples**2, 3).to(dtype), weights.to(dtype)
 
     def face_coordinates(
         self, directions: Float[Tensor, "*batch 3"]
@@ -167,8 +167,8 @@ def _lattice(tangents: Tensor, size: int) -> Tensor:
     outer = (tangents.abs() > 1 - 1 / size).any(-1)
     if not has_numbers(outer):
         return torch.where(outer.unsqueeze(-1), _across_edges(tangents, size), inside)
-    places = outer.nonzero(as_tuple=True)  # few
-    return inside.index_put(places, _across_edges(tangents[places], size))
+    outside = outer.nonzero(as_tuple=True)  # few
+    return inside.index_put(outside, _across_edges(tangents[outside], size))
 
 
 def _across_edges(tangents: Tensor, size: int) -> Tensor:
@@ -179,10 +179,10 @@ def _across_edges(tangents: Tensor, size: int) -> Tensor:
 
     def strip(across: Tensor, along: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         outward = across.abs()
-        share = 0.5 + (outward - 1) * ((2 - half) / (2 * half)) / (outward + 1)
+        excess = 0.5 + (outward - 1) * ((2 - half) / (2 * half)) / (outward + 1)
         along = along * (2 - half) / (outward + 1)
-        beyond = torch.where(across < 0, -share, size - 1 + share)
-        return (outward > limit) & (along.abs() <= limit), beyond, (along + 1) * (size / 2) - 0.5
+        continued = torch.where(across < 0, -excess, size - 1 + excess)
+        return (outward > limit) & (along.abs() <= limit), continued, (along + 1) * (size / 2) - 0.5
 
     sideways, u_sideways, v_sideways = strip(x, y)
     below, v_below, u_below = strip(y, x)
@@ -203,5 +203,5 @@ def _corner_shares(x: Tensor, y: Tensor, limit: float) -> tuple[Tensor, Tensor]:
     total = (x + y + 1) / (1 + 2 * limit)
     own, right, below = ((value / total - limit) / (1 - limit) for value in (torch.ones_like(x), x, y))
     difference = right - below
-    middle = (difference + safe_sqrt(difference * difference + 4 * own)) / 2
-    return 1 - middle + difference, 1 - middle
+    mean = (difference + safe_sqrt(difference * difference + 4 * own)) / 2
+    return 1 - mean + difference, 1 - mean

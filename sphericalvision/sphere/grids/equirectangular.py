@@ -161,10 +161,10 @@ class Equirectangular(GridModule):
         latitude = (height - 1 - 2 * row) * ((top - bottom) / 2 / height) + (bottom + top) / 2
         directions = directions_from_longitude_latitude(longitude, latitude[:, None])
         directions = directions.view(self.height, samples, self.width, samples, 3).transpose(1, 2)
-        shares = latitude.cos().view(-1, samples).repeat_interleave(samples, 1)  # of a row's cells
-        shares = (shares / shares.sum(-1, keepdim=True)).repeat_interleave(self.width, 0)
+        weights = latitude.cos().view(-1, samples).repeat_interleave(samples, 1)  # of a row's cells
+        weights = (weights / weights.sum(-1, keepdim=True)).repeat_interleave(self.width, 0)
         dtype = dtype or self.directions.dtype
-        return directions.reshape(-1, samples**2, 3).to(dtype), shares.to(dtype)
+        return directions.reshape(-1, samples**2, 3).to(dtype), weights.to(dtype)
 
     def pixels(self, directions: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 2"]:
         """Return the pixel coordinates (u, v) ``(*, 2)`` of directions ``(*, 3)``; integers are pixel centres.

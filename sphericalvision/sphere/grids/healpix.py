@@ -195,10 +195,10 @@ class Healpix(GridModule):
         """The last ring, 0 (the pole) to ``4 * nside - 1``, whose angle is not more than theta."""
         thetas, last = self._rings(theta)[-1], 4 * self.nside - 1
         # Looked up by parts of the angle narrower than rings are apart, so that it is this one or the next.
-        parts = 6 * self.nside
-        starts = torch.arange(parts + 1, device=theta.device).to(theta.dtype) * (math.pi / parts)
-        first = torch.searchsorted(thetas[1:-1].contiguous(), starts - 0.01 / parts, right=True)
-        ring = first.index_select(0, (theta * (parts / math.pi)).long().clamp(0, parts))
+        steps = 6 * self.nside
+        starts = torch.arange(steps + 1, device=theta.device).to(theta.dtype) * (math.pi / steps)
+        first = torch.searchsorted(thetas[1:-1].contiguous(), starts - 0.01 / steps, right=True)
+        ring = first.index_select(0, (theta * (steps / math.pi)).long().clamp(0, steps))
         return (ring + (theta >= thetas.index_select(0, ring + 1)).long()).clamp(max=last)
 
     def _rings(self, like: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
@@ -223,15 +223,15 @@ class Healpix(GridModule):
         step = (2 * math.pi) / count.to(longitude.dtype)
         position = longitude / step - 0.5 * shift
         first = position.detach().floor()
-        share = position - first
+        fraction = position - first
         if chords:
-            before, after = (share * step).sin(), ((1 - share) * step).sin()
-            radius = theta.sin() * (step / 2).cos() / ((share - 0.5) * step).cos()
+            before, after = (fraction * step).sin(), ((1 - fraction) * step).sin()
+            radius = theta.sin() * (step / 2).cos() / ((fraction - 0.5) * step).cos()
             theta = torch.where(behind == 0, torch.atan2(radius, theta.cos()), theta)  # a pole is a point
-            share = before / (before + after)
+            fraction = before / (before + after)
         number = first.nan_to_num().long() + behind  # a number of the ring, whatever the direction
         number = number + count * (number < 0)
-        return (start + number, start + (number + 1) * (number + 1 != count)), share, theta
+        return (start + number, start + (number + 1) * (number + 1 != count)), fraction, theta
 
     def _interpolated(self, values: Tensor, directions: Tensor) -> Tensor:
         return weighted_sums(values, *self.locate(directions))

@@ -129,8 +129,8 @@ def ring_from_place(
     ring = (torch.div(face, 4, rounding_mode="floor") + 2) * nside - column - row - 1
     start, count, shift = ring_start_count_shift(ring, nside)
     # In pixels of its ring, the middle of a face is at count / 8 times an odd (polar) or even (belt) number.
-    middle = _middle(face) * torch.div(count, 4, rounding_mode="floor")
-    position = torch.div(middle + column - row + 1 - shift, 2, rounding_mode="floor")
+    center = _middle(face) * torch.div(count, 4, rounding_mode="floor")
+    position = torch.div(center + column - row + 1 - shift, 2, rounding_mode="floor")
     return start + position % count
 
 

@@ -122,9 +122,9 @@ class TangentImages(GridModule):
         patch = from_components(x / lengths, y / lengths, 1 / lengths).view(-1, 3)
         rays = (patch @ _frames(self.base_level, device).mT).view(-1, samples**2, 3)
         solid = (lengths**-3).view(-1, samples**2)  # a step in the plane is so much of solid angle
-        shares = (solid / solid.sum(-1, keepdim=True)).repeat(self.num_patches, 1)
+        weights = (solid / solid.sum(-1, keepdim=True)).repeat(self.num_patches, 1)
         dtype = dtype or self.directions.dtype
-        return rays.to(dtype), shares.to(dtype)
+        return rays.to(dtype), weights.to(dtype)
 
     @full_precision
     def face_coordinates(
@@ -176,8 +176,8 @@ class TangentImages(GridModule):
 
     def _side(self, count: int, device: torch.device | str | None) -> Tensor:
         """Coordinates (count,) of ``count`` places along a side, in the tangent plane."""
-        place = 2 * torch.arange(count, dtype=torch.float64, device=device) + 1 - count
-        return place / (2 * count) * (self.size * self.pixel_size)
+        offsets = 2 * torch.arange(count, dtype=torch.float64, device=device) + 1 - count
+        return offsets / (2 * count) * (self.size * self.pixel_size)
 
 
 def _frames(base_level: int, device: torch.device | str | None) -> Tensor:

@@ -96,8 +96,8 @@ def _shapes_only(
     fill: float,
 ) -> MaskedLookup:
     """On the meta device, where nothing has a value: a table of the right size that points anywhere."""
-    turns = () if rotation is None else rotation.shape[:-2]
-    ids = torch.empty(*turns, math.prod(target_shape), dtype=torch.long, device="meta")
+    batch = () if rotation is None else rotation.shape[:-2]
+    ids = torch.empty(*batch, math.prod(target_shape), dtype=torch.long, device="meta")
     return MaskedLookup(Lookup(ids, dims=len(source_shape)), source_shape, target_shape, mode, fill)
 
 
@@ -126,19 +126,19 @@ def _samples(
         cells = cell_samples(target, 1, dtype, device)
     else:
         cells = cell_samples(target, group.samples, dtype, device, group.cells)
-    directions, shares = cells.directions, cells.shares
+    directions, weights = cells.directions, cells.shares
     if rotation is not None:
         # target_from_source turns the other way: its transpose acts on column vectors, itself on rows.
         directions = directions @ rotation.unsqueeze(-3)
     if cells.valid is not None:
-        shares = torch.where(cells.valid, shares, 0.0)
+        weights = torch.where(cells.valid, weights, 0.0)
     if group is not None and middle_in_view is not None:
         # A pixel out of view stays so, though a corner may be in it.
-        shares = torch.where(middle_in_view[group.cells], shares, 0.0)
+        weights = torch.where(middle_in_view[group.cells], weights, 0.0)
     inside = _seen_by(source, directions)
     if inside is not None:
-        shares = torch.where(inside, shares, 0.0)
-    return _Samples(directions, shares, cells.valid, cells.valid is None and inside is None)
+        weights = torch.where(inside, weights, 0.0)
+    return _Samples(directions, weights, cells.valid, cells.valid is None and inside is None)
 
 
 def _seen_by(source: SphereGrid | Camera, directions: Tensor) -> Tensor | None:
@@ -263,8 +263,8 @@ def _merged(ids: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
     ids, order = ids.sort(-1)
     weights = weights.gather(-1, order)
     first = F.pad(ids.diff(dim=-1) != 0, (1, 0), value=True)
-    place = first.long().cumsum(-1) - 1
-    count = int(place.max()) + 1
-    merged_ids = torch.zeros_like(ids).scatter_(-1, place, ids)[..., :count]
-    merged_weights = torch.zeros_like(weights).scatter_add_(-1, place, weights)[..., :count]
+    slots = first.long().cumsum(-1) - 1
+    count = int(slots.max()) + 1
+    merged_ids = torch.zeros_like(ids).scatter_(-1, slots, ids)[..., :count]
+    merged_weights = torch.zeros_like(weights).scatter_add_(-1, slots, weights)[..., :count]
     return merged_ids.contiguous(), merged_weights.contiguous()

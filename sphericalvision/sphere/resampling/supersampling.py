@@ -82,10 +82,10 @@ def cell_samples(
             directions, torch.full_like(directions[..., 0], 1 / math.prod(sides)).detach(), valid
         )
     if isinstance(grid, Icosphere):
-        directions, shares = _vertex_samples(grid.level, max(sides), dtype, device, cells)
-        return CellSamples(directions, shares, None)
+        directions, weights = _vertex_samples(grid.level, max(sides), dtype, device, cells)
+        return CellSamples(directions, weights, None)
     if hasattr(grid, "cell_samples"):
-        directions, shares = grid.cell_samples(max(sides), dtype, device)
+        directions, weights = grid.cell_samples(max(sides), dtype, device)
     elif max(sides) > 1:
         raise ArgumentError(
             f"target: mode 'area' needs a method cell_samples(samples, dtype, device), which {type(grid).__name__} "
@@ -93,10 +93,10 @@ def cell_samples(
         )
     else:
         directions = grid.directions.reshape(-1, 1, 3).to(device=device, dtype=dtype)
-        shares = torch.ones_like(directions[..., 0])
+        weights = torch.ones_like(directions[..., 0])
     if cells is not None:
-        directions, shares = directions[cells], shares.expand(directions.shape[:-1])[cells]
-    return CellSamples(directions, shares, None)
+        directions, weights = directions[cells], weights.expand(directions.shape[:-1])[cells]
+    return CellSamples(directions, weights, None)
 
 
 def cell_widths(grid: SphereGrid | Camera) -> Float[Tensor, " n"]:
@@ -145,8 +145,8 @@ def _vertex_samples(
     along_s = (1 - t) * (q - p) + t * (r - u)
     along_t = (1 - s) * (u - p) + s * (r - q)
     volume = (points * torch.linalg.cross(along_s, along_t, dim=-1)).sum(-1).abs()
-    shares = volume / points.norm(dim=-1) ** 3
-    shares[five, 5] = 0
-    shares = shares.flatten(1)
-    shares = shares / shares.sum(-1, keepdim=True)
-    return F.normalize(points, dim=-1).flatten(1, 2).to(dtype), shares.to(dtype)
+    weights = volume / points.norm(dim=-1) ** 3
+    weights[five, 5] = 0
+    weights = weights.flatten(1)
+    weights = weights / weights.sum(-1, keepdim=True)
+    return F.normalize(points, dim=-1).flatten(1, 2).to(dtype), weights.to(dtype)

@@ -152,8 +152,8 @@ class Views:
         results: list[Tensor] = []
         for _, alike in itertools.groupby(self.images, lambda image: image.shape):
             images = torch.stack(list(alike))
-            parts = images.flatten(0, -4).split(batch or images.shape[:-3].numel())
-            outputs = torch.cat([self._checked(function(part), part) for part in parts])
+            chunks = images.flatten(0, -4).split(batch or images.shape[:-3].numel())
+            outputs = torch.cat([self._checked(function(part), part) for part in chunks])
             results += outputs.unflatten(0, images.shape[:-3])
         sizes = {name: tuple(image.shape[-2:]) for name, image in zip(self.rig.names, results, strict=True)}
         return Views(results, self.rig.resized(sizes), self._target)
@@ -231,8 +231,10 @@ class Views:
         """What a view shows in the target ``(*b, c, *target_shape)``, and its weight, 0 where it shows nothing."""
         index = self.rig.names.index(name)
         camera, image = self.rig.cameras[name].to(self.images[index].device), self.images[index]
-        turn = self.rig.world_from_camera[index, :3, :3].to(image.device)
-        turn = turn if rotation is None else rotation.to(turn) @ turn
+        target_from_camera = self.rig.world_from_camera[index, :3, :3].to(image.device)
+        target_from_camera = (
+            target_from_camera if rotation is None else rotation.to(target_from_camera) @ target_from_camera
+        )
         mask = self.rig.masks.get(name)
         usable = torch.ones(camera.image_size, dtype=torch.bool) if mask is None else mask
         usable = usable.to(image.device)
@@ -249,14 +251,14 @@ class Views:
         if center is not None:
             pose = self.rig.world_from_camera[index].to(image)
             start = (center.to(image) - pose[:3, 3]) @ pose[:3, :3]
-            return _seen_from(start, target, turn, camera, image, weight, usable)
-        tables = resample_tables(camera, target, turn, mode, 0.0, usable, image.device)
+            return _seen_from(start, target, target_from_camera, camera, image, weight, usable)
+        tables = resample_tables(camera, target, target_from_camera, mode, 0.0, usable, image.device)
         dims = len(tables.target_shape)
         result, seen = tables(torch.cat((image, weight), -3)), tables.mask().unsqueeze(-1 - dims)
-        shown, weight = result.split((image.shape[-3], 1), -1 - dims)
+        result_values, weight = result.split((image.shape[-3], 1), -1 - dims)
         if quantity != "values":
-            shown = 1 / torch.where(seen, shown, 1.0)
-        return shown, torch.where(seen, weight, 0.0)
+            result_values = 1 / torch.where(seen, result_values, 1.0)
+        return result_values, torch.where(seen, weight, 0.0)
 
 
 @torch.no_grad()
@@ -282,11 +284,11 @@ def _seen_from(
     """
     cells = cell_samples(target, 1, inverse_depth.dtype, inverse_depth.device)
     rays = cells.directions[:, 0] @ turn.to(inverse_depth)
-    known = usable.to(inverse_depth).expand(inverse_depth.squeeze(-3).shape).unsqueeze(-3)
-    layers = torch.cat((inverse_depth * known, known, weight * known), -3)
-    parts = [_followed(camera, frame, start, rays) for frame in layers.reshape(-1, *layers.shape[-3:])]
+    valid = usable.to(inverse_depth).expand(inverse_depth.squeeze(-3).shape).unsqueeze(-3)
+    layers = torch.cat((inverse_depth * valid, valid, weight * valid), -3)
+    pairs = [_followed(camera, frame, start, rays) for frame in layers.reshape(-1, *layers.shape[-3:])]
     shape = (*layers.shape[:-3], 1, *grid_shape(target, "target"))
-    distance, weights = (torch.stack(part).reshape(shape) for part in zip(*parts, strict=True))
+    distance, weights = (torch.stack(part).reshape(shape) for part in zip(*pairs, strict=True))
     if cells.valid is not None:
         weights = torch.where(cells.valid.view(shape[-2:]), weights, 0.0)
     return distance, weights
@@ -303,10 +305,10 @@ def _followed(camera: Camera, layers: Tensor, start: Tensor, rays: Tensor) -> tu
     """
 
     def at(directions: Tensor) -> tuple[Tensor, Tensor]:
-        (inverse, share, weight), inside = camera.sample(layers, directions)
-        known = inside & (share > 0.5)  # most of the four pixels around
-        share = torch.where(known, share, 1.0)
-        return (inverse / share).where(known, math.nan), torch.where(known, weight / share, 0.0)
+        (inverse, coverage, weight), inside = camera.sample(layers, directions)
+        valid = inside & (coverage > 0.5)  # most of the four pixels around
+        coverage = torch.where(valid, coverage, 1.0)
+        return (inverse / coverage).where(valid, math.nan), torch.where(valid, weight / coverage, 0.0)
 
     largest = float(layers[0].max())
     if not largest > 0:
@@ -369,17 +371,17 @@ def views(
         tables = resample_tables(whole, camera, turn.to(device), mode, 0.0, None, device)
         return tables(panorama), tables.mask()
 
-    turns = _rotations(layout)
+    rotations = _rotations(layout)
     if image_size is None:
         pair = field_of_view if isinstance(field_of_view, Sequence) else (field_of_view,) * 2
         fineness = _fineness(source if isinstance(source, CameraRig) else whole)
         across, down = (math.ceil(2 * math.tan(angle / 2) * fineness) for angle in pair)
         image_size = (down, across)
     lens = PinholeCamera.from_field_of_view(image_size, field_of_view)
-    images, seen = zip(*(cut(lens, turn.mT) for turn in turns), strict=True)
-    poses = torch.eye(4).repeat(len(turns), 1, 1)
-    poses[:, :3, :3] = turns
-    rig = CameraRig([lens] * len(turns), poses)
+    images, seen = zip(*(cut(lens, turn.mT) for turn in rotations), strict=True)
+    poses = torch.eye(4).repeat(len(rotations), 1, 1)
+    poses[:, :3, :3] = rotations
+    rig = CameraRig([lens] * len(rotations), poses)
     masks = {name: mask for name, mask in zip(rig.names, seen, strict=True) if not holds(mask)}
     return Views(images, CameraRig(rig.cameras, poses, masks), whole)
 
@@ -410,8 +412,8 @@ def _weights(camera: Camera) -> Tensor:
         inside = torch.ones_like(solid)
     else:
         height, width = camera.image_size
-        middle = pixels.new_tensor([(width - 1) / 2, (height - 1) / 2])
-        inside = (1 - (pixels - middle).abs() / (middle + 0.5)).amin(-1)
+        center = pixels.new_tensor([(width - 1) / 2, (height - 1) / 2])
+        inside = (1 - (pixels - center).abs() / (center + 0.5)).amin(-1)
         inside = inside.minimum(1 - angle_from_axis(directions) / camera.max_angle)
     return (solid / solid.max() * inside).clamp_min(_FAINTEST)
 
@@ -458,9 +460,9 @@ def _log_scales(values: Tensor, weights: Tensor, dims: int) -> Tensor:
     scales, trust = torch.zeros_like(flat[..., :1]), flat_weights
     for _ in range(_ROUNDS):
         total = trust.sum(-2, keepdim=True)
-        shares = trust / torch.where(total > 0, total, 1.0)
-        laplacian = torch.diag_embed(trust.sum(-1)) - trust @ shares.mT
-        difference = (trust * ((shares * flat).sum(-2, keepdim=True) - flat)).sum(-1, keepdim=True)
+        fractions = trust / torch.where(total > 0, total, 1.0)
+        laplacian = torch.diag_embed(trust.sum(-1)) - trust @ fractions.mT
+        difference = (trust * ((fractions * flat).sum(-2, keepdim=True) - flat)).sum(-1, keepdim=True)
         scales = torch.linalg.pinv(laplacian, rtol=1e-9, hermitian=True) @ difference
         aligned = (flat + scales).detach().movedim(-2, 0)
         _, squared = _mean_and_squares(aligned.unsqueeze(-2), trust.movedim(-2, 0).unsqueeze(-2), 1)

@@ -172,8 +172,8 @@ def _line_gap(rays: Tensor) -> float:
     angles, ids = (torch.from_numpy(part).reshape(len(probes), -1) for part in (near, ids))
     right, down = _frames(probes)
     offsets = rays[ids]
-    turn = torch.atan2((offsets * down[:, None]).sum(-1), (offsets * right[:, None]).sum(-1))
-    side = (turn / (math.pi / 2)).round().long() % 4
+    bearing = torch.atan2((offsets * down[:, None]).sum(-1), (offsets * right[:, None]).sum(-1))
+    side = (bearing / (math.pi / 2)).round().long() % 4
     firsts = [angles.where((side == k) & (angles > 1e-9), math.inf).amin(1) for k in range(4)]
     gap = 2 * float(torch.stack(firsts).amax(0).median())
     return gap if gap < 0.2 else 0.2  # a scan so thin tells nothing about what lies between its points

@@ -84,8 +84,8 @@ def _sweep(folder: Path) -> None:
             made_by = TEMPORARY.match(entry.name)
             if not made_by:
                 continue
-            ours = made_by[1] == MACHINE
-            if not _lives(int(made_by[2])) if ours else time.time() - entry.stat().st_mtime > LEFT:
+            is_own_machine = made_by[1] == MACHINE
+            if not _lives(int(made_by[2])) if is_own_machine else time.time() - entry.stat().st_mtime > LEFT:
                 Path(entry.path).unlink(missing_ok=True)
 
 

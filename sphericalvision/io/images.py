@@ -189,8 +189,8 @@ def _holds(encoded: Array, pages: list[Array]) -> bool:
     """Whether all pages are there in their types; of what it does not know, OpenCV makes 8 bits, cut off at 255."""
     if len(pages) == 1 and pages[0].dtype in (np.uint8, bool):
         return True
-    found = cv2.imdecodemulti(encoded, cv2.IMREAD_UNCHANGED)[1]
-    return [page.dtype for page in found] == [page.dtype for page in pages]
+    decoded = cv2.imdecodemulti(encoded, cv2.IMREAD_UNCHANGED)[1]
+    return [page.dtype for page in decoded] == [page.dtype for page in pages]
 
 
 def write_image(path: str | Path, image: Tensor | Array) -> None:
@@ -261,9 +261,9 @@ def _first_page(path: str | Path, image_size: Size | None, what: str) -> Array:
 def _white_of_pnm(path: str | Path) -> int | None:
     """The value that a PGM or PPM says is white, 1023 of 10 bits; None of other files."""
     with Path(path).open("rb") as file:
-        words = re.sub(rb"#[^\n]*", b"", file.read(1024)).split(maxsplit=4)
-    is_pnm = len(words) > 3 and words[0] in (b"P2", b"P3", b"P5", b"P6") and words[3].isdigit()
-    return int(words[3]) if is_pnm else None
+        tokens = re.sub(rb"#[^\n]*", b"", file.read(1024)).split(maxsplit=4)
+    is_pnm = len(tokens) > 3 and tokens[0] in (b"P2", b"P3", b"P5", b"P6") and tokens[3].isdigit()
+    return int(tokens[3]) if is_pnm else None
 
 
 def _decoded(path: str | Path, what: str, image_size: Size | None = None) -> list[Array]:

@@ -75,8 +75,8 @@ def angle_map(
         drawn = axes.imshow(angle, extent=extent, cmap="viridis_r", vmin=0, aspect="equal")
         figure.colorbar(drawn, label="angle from the axis (degrees)", fraction=0.04, aspect=30)
     else:
-        shown = image.detach().cpu().float().clamp(0, 1).movedim(0, -1).numpy()
-        axes.imshow(shown.squeeze(), extent=extent, cmap="gray", vmin=0, vmax=1, aspect="equal")
+        picture = image.detach().cpu().float().clamp(0, 1).movedim(0, -1).numpy()
+        axes.imshow(picture.squeeze(), extent=extent, cmap="gray", vmin=0, vmax=1, aspect="equal")
         ink = "#ffe14d"
     if mask is not None:
         shade = np.zeros((*camera.image_size, 4), np.float32)

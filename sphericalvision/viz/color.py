@@ -114,8 +114,8 @@ def fade(colors: Picture, strength: Values) -> Picture:
         >>> fade(np.array([[208, 8, 128]], np.uint8), torch.tensor([0.5])).tolist()
         [[168, 68, 128]]
     """
-    share = np.clip(np.nan_to_num(_to_numpy(strength)), 0, 1)[..., None]
-    mixed = share.astype(np.float32) * (colors.astype(np.float32) - UNKNOWN_GREY) + UNKNOWN_GREY
+    strength_of_pixel = np.clip(np.nan_to_num(_to_numpy(strength)), 0, 1)[..., None]
+    mixed = strength_of_pixel.astype(np.float32) * (colors.astype(np.float32) - UNKNOWN_GREY) + UNKNOWN_GREY
     return np.rint(mixed).astype(np.uint8)
 
 
@@ -164,9 +164,9 @@ def colorize(scaled: npt.NDArray[np.float64], color_map: str) -> Picture:
     """Map values (*) in [0, 1] through a map of OpenCV's, named in small letters, to uint8 (*, 3); NaN becomes grey."""
     table = _table(color_map)
     unknown = np.isnan(scaled)
-    places = (np.clip(np.where(unknown, 0, scaled), 0, 1) * (len(table) - 1)).astype(np.int64)
-    places = np.minimum(places, len(table) - 2)
-    return table[np.where(unknown, len(table) - 1, places)]
+    positions = (np.clip(np.where(unknown, 0, scaled), 0, 1) * (len(table) - 1)).astype(np.int64)
+    positions = np.minimum(positions, len(table) - 2)
+    return table[np.where(unknown, len(table) - 1, positions)]
 
 
 @lru_cache(maxsize=8)

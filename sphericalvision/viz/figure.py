@@ -110,11 +110,11 @@ def sheet(pictures: Mapping[str, Picture] | Sequence[Picture], columns: int = 1,
     page = np.full(page_size, 255, np.uint8)
     top = gap
     for row, height in zip(rows, heights, strict=True):
-        left = gap
+        column = gap
         for cell, width in zip(row, widths, strict=False):
-            start = left + (width - cell.shape[1]) // 2
+            start = column + (width - cell.shape[1]) // 2
             page[top : top + cell.shape[0], start : start + cell.shape[1]] = cell
-            left += width + gap
+            column += width + gap
         top += height + gap
     return page
 

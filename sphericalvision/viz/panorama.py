@@ -77,8 +77,8 @@ def confidence_strength(
         >>> confidence_strength(sure, seen)
         tensor([0.1500, 0.5750, 1.0000, 0.0000])
     """
-    share = ((confidence - _UNSURE) / (_SURE - _UNSURE)).clamp(0, 1)
-    return torch.where(seen, _LEAST + (1 - _LEAST) * share, 0.0)
+    certainty = ((confidence - _UNSURE) / (_SURE - _UNSURE)).clamp(0, 1)
+    return torch.where(seen, _LEAST + (1 - _LEAST) * certainty, 0.0)
 
 
 _LEAST = 0.15

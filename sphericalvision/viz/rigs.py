@@ -143,10 +143,12 @@ def coverage_panorama(
             fontsize=9,
             bbox={"facecolor": "white", "alpha": 0.7, "edgecolor": "none", "pad": 1},
         )
-    share = torch.zeros(len(rig) + 1, dtype=torch.float64).index_add(0, counts, solid_angles) / (4 * math.pi)
+    fractions = torch.zeros(len(rig) + 1, dtype=torch.float64).index_add(0, counts, solid_angles) / (
+        4 * math.pi
+    )
     patches = [
         Patch(color=palette[number], label=f"{number}: {100 * part:.1f} %")
-        for number, part in enumerate(share.tolist())
+        for number, part in enumerate(fractions.tolist())
     ]
     axes.legend(
         handles=patches,

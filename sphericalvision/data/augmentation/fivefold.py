@@ -94,8 +94,8 @@ def _rolled(key: str, panorama: Tensor, steps: int) -> Tensor:
 
 def _turned(rig: CameraRig, steps: int) -> CameraRig:
     """The rig turned about the world's vertical through the origin."""
-    turn = yaw_rotation(yaw_angle(torch.tensor(steps), 5))
-    return rig.rotated(rotation=turn.to(rig.world_from_camera))
+    rotation = yaw_rotation(yaw_angle(torch.tensor(steps), 5))
+    return rig.rotated(rotation=rotation.to(rig.world_from_camera))
 
 
 class Mirror:

@@ -159,8 +159,8 @@ class OmniStereoDataset(Dataset[Sample]):
                 raise ArgumentError(f"min_depth: expected a positive number of metres, got {min_depth!r}")
             return float(min_depth)
         config = self.root / self.release.calibration
-        stated = read_min_depth(config) if self.release.name == "tiff" else None
-        return self.release.min_depth if stated is None else stated
+        nearest = read_min_depth(config) if self.release.name == "tiff" else None
+        return self.release.min_depth if nearest is None else nearest
 
     def _present(self, requested: list[int], skip: bool) -> list[int]:
         folders = {self.release.ground_truth_folder: self._truths, **self._images}

@@ -139,11 +139,11 @@ def find_release(root: str | Path, name: str | None = None) -> Release:
         raise ArgumentError(
             f"release: {root} holds both releases, which differ in scale; choose release='png' or 'tiff'"
         )
-    asked = [release for release in truths if name in (None, release.name)]
-    if asked and calibrations:
+    candidates = [release for release in truths if name in (None, release.name)]
+    if candidates and calibrations:
         raise FileFormatError(
-            f"{root}: mixed releases: found {asked[0].name.upper()} ground truth in "
-            f"{asked[0].ground_truth_folder}/ with {calibrations[0].calibration}. {_valid_triples()}"
+            f"{root}: mixed releases: found {candidates[0].name.upper()} ground truth in "
+            f"{candidates[0].ground_truth_folder}/ with {calibrations[0].calibration}. {_valid_triples()}"
         )
     raise MissingFileError(f"{root.absolute()}: incomplete data set. {_expectation(name)}")
 

@@ -87,14 +87,14 @@ class Kitti360Dataset(ScannedFrames):
         numbers_of = [int(name) for name in trajectory.names]
         for chosen in trajectory.windows(window, spacing):
             frames = [numbers_of[k] for k in chosen]
-            middle = chosen[len(chosen) // 2]
-            name = f"{sequence}/{numbers_of[middle]:010d}"
+            center = chosen[len(chosen) // 2]
+            name = f"{sequence}/{numbers_of[center]:010d}"
             world_from_pose = trajectory.world_from_camera[chosen].double()
             middle_from_pose = (
-                invert_transform(trajectory.world_from_camera[middle].double()) @ world_from_pose
+                invert_transform(trajectory.world_from_camera[center].double()) @ world_from_pose
             )
             self._poses[name] = middle_from_pose
-            self._motions[name] = self._motion(trajectory, numbers_of, middle)
+            self._motions[name] = self._motion(trajectory, numbers_of, center)
             raw = self.root / "data_2d_raw" / sequence
             images = {
                 f"{camera}-{k}": raw / camera / "data_rgb" / f"{frame:010d}.png"
@@ -102,7 +102,7 @@ class Kitti360Dataset(ScannedFrames):
                 for camera in FISHEYES
             }
             scans = self.root / "data_3d_raw" / sequence / "velodyne_points" / "data"
-            yield name, images, scans / f"{numbers_of[middle]:010d}.bin"
+            yield name, images, scans / f"{numbers_of[center]:010d}.bin"
 
     def rig(self, name: str) -> CameraRig:
         """Both fisheyes at all poses of the window."""
@@ -124,8 +124,8 @@ class Kitti360Dataset(ScannedFrames):
         """Of the scanner in a turn: from the pose before, and how many turns that is away."""
         before, now = trajectory.world_from_camera[row - 1 : row + 1].double() @ self.pose_from_velo
         motion = axis_angle_from_transform(invert_transform(now) @ before)
-        turns = frames[row] - frames[row - 1]
-        return motion[0].float() / turns, motion[1].float() / turns
+        step = frames[row] - frames[row - 1]
+        return motion[0].float() / step, motion[1].float() / step
 
 
 def at_one_time(
@@ -150,8 +150,8 @@ def at_one_time(
         tensor([[-0.2500,  8.0000,  0.0000],
                 [ 8.0000,  0.0000,  0.0000]])
     """
-    share = torch.atan2(points[:, 1], points[:, 0])[:, None] / (2 * math.pi)
-    moved = transform_from_axis_angle(share * rotation, share * translation)
+    fraction = torch.atan2(points[:, 1], points[:, 0])[:, None] / (2 * math.pi)
+    moved = transform_from_axis_angle(fraction * rotation, fraction * translation)
     return transform_points(moved, points[:, None])[:, 0]
 
 

@@ -87,9 +87,9 @@ class OmniPusDataset(ScannedFrames):
 
     def points(self, name: str) -> Tensor:
         """What the map of inverse depth says, around the rig's centre."""
-        near = read_raster(self.truths[name], 1.0, TRUTH_SIZE, "inverse depth")
-        valid = near.isfinite() & (near > 0)
-        return self.truth.directions[valid] / near[valid][:, None] + self.fixed_rig.center
+        inverse_depth = read_raster(self.truths[name], 1.0, TRUTH_SIZE, "inverse depth")
+        valid = inverse_depth.isfinite() & (inverse_depth > 0)
+        return self.truth.directions[valid] / inverse_depth[valid][:, None] + self.fixed_rig.center
 
 
 def _camera(path: Path) -> tuple[KannalaBrandtCamera, Tensor]:
@@ -109,7 +109,7 @@ def _camera(path: Path) -> tuple[KannalaBrandtCamera, Tensor]:
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise FileFormatError(f"{path}: not as OmniPus has it ({error!r:.100})") from error
     camera = KannalaBrandtCamera([fx, fy], [cx, cy], coefficients, size, max_angle=math.pi / 2)
-    turns = [transform_from_axis_angle(pose[k] * torch.eye(3)[k], torch.zeros(3)) for k in range(3)]
-    lidar_from_camera = turns[2] @ turns[1] @ turns[0]
+    rotations = [transform_from_axis_angle(pose[k] * torch.eye(3)[k], torch.zeros(3)) for k in range(3)]
+    lidar_from_camera = rotations[2] @ rotations[1] @ rotations[0]
     lidar_from_camera[:3, 3] = torch.tensor(pose[3:])
     return camera, lidar_from_camera

@@ -105,10 +105,10 @@ class ScannedFrames(Dataset[Sample]):
         return sample if self.transform is None else self.transform(sample)
 
     def _warn_of_another_frame(self, rig: CameraRig, points: Tensor, share_known: float, name: str) -> None:
-        share = float(rig.project(points).valid.any(0).float().mean()) if len(points) else 0.0
+        fraction = float(rig.project(points).valid.any(0).float().mean()) if len(points) else 0.0
         problem = ""
-        if share < 0.5:
-            problem = f"cameras see {share:.0%} of the points of {name}; expected half of them or more"
+        if fraction < 0.5:
+            problem = f"cameras see {fraction:.0%} of the points of {name}; expected half of them or more"
         elif share_known < 0.01:
             problem = f"points of {name} tell the depth of {share_known:.1%} of all directions; expected 1 % or more"
         if problem and not self._warned:

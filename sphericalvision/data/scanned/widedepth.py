@@ -50,7 +50,7 @@ class WideDepthDataset(ScannedFrames):
         calibration: file of the lens, in the size of the images.
 
     Raises:
-        MissingFileError: the folder or a scene is not there, or no frame is complete.
+        MissingFileError: the folder or a scene is missing, or no frame is complete.
         ArgumentError: a field of view, baseline or choice of cameras that the set does not have.
         FileFormatError: a calibration of another image size.
 
@@ -73,14 +73,16 @@ class WideDepthDataset(ScannedFrames):
         check_choice("field_of_view", field_of_view, FIELDS_OF_VIEW)
         check_choice("baseline", baseline, BASELINES)
         check_choice("stereo", stereo, tuple(STEREO))
-        part = Path(f"{field_of_view}FOV", f"{baseline}mm")
-        there = sorted(p.name for p in self.root.glob("*") if re.fullmatch(r"\d{3}_\d{3}_\d{3}", p.name))
+        baseline_folder = Path(f"{field_of_view}FOV", f"{baseline}mm")
+        names = sorted(p.name for p in self.root.glob("*") if re.fullmatch(r"\d{3}_\d{3}_\d{3}", p.name))
         for scene in scenes or ():
-            if scene not in there:
+            if scene not in names:
                 raise MissingFileError(
-                    f"{self.root.absolute()}: no scene {scene!r}; it has {len(there)}, {', '.join(there[:3])} ..."
+                    f"{self.root.absolute()}: no scene {scene!r}; it has {len(names)}, {', '.join(names[:3])} ..."
                 )
-        folders = {scene: self.root / scene / part for scene in (there if scenes is None else scenes)}
+        folders = {
+            scene: self.root / scene / baseline_folder for scene in (names if scenes is None else scenes)
+        }
         frames = (
             (
                 scene,
@@ -89,7 +91,10 @@ class WideDepthDataset(ScannedFrames):
             )
             for scene, folder in folders.items()
         )
-        self.take(frames, f"<scene>/{part} with fisheye.png of {', '.join(STEREO[stereo])} and CENTER/depth")
+        self.take(
+            frames,
+            f"<scene>/{baseline_folder} with fisheye.png of {', '.join(STEREO[stereo])} and CENTER/depth",
+        )
         camera = self._lens(field_of_view, calibration)
         poses = torch.eye(4).repeat(len(STEREO[stereo]), 1, 1)
         poses[:, :2, 3] = torch.tensor([PLACES[name] for name in STEREO[stereo]]) * baseline / 1000
@@ -113,8 +118,8 @@ class WideDepthDataset(ScannedFrames):
             stacklevel=3,
         )
         angle = math.radians(field_of_view)
-        middle = [(width - 1) / 2, (height - 1) / 2]
-        return FisheyeCamera("equidistant", [width / angle] * 2, middle, (height, width), angle / 2)
+        center = [(width - 1) / 2, (height - 1) / 2]
+        return FisheyeCamera("equidistant", [width / angle] * 2, center, (height, width), angle / 2)
 
     def points(self, name: str) -> Tensor:
         """What the map of depth of the camera in the centre says."""

@@ -20,7 +20,7 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 from sphericalvision.capture.calibrating.boards import AprilGrid, Charuco, Checkerboard, read_board
-from sphericalvision.core import ArgumentError, SphericalVisionError
+from sphericalvision.core import ArgumentError, SphericalVisionError, short_repr
 from sphericalvision.data import truth_from_points
 from sphericalvision.data.point_files import read_points
 from sphericalvision.data.scanned.deep360 import _array
@@ -180,3 +180,12 @@ def test_containers_leave_temporary_files_of_each_other_alone(
     os.utime(tmp_path / names[1], (0, 0))
     files.write_bytes(tmp_path / "new.txt", b"whole")
     assert {path.name for path in tmp_path.iterdir()} == {names[0], "new.txt"}
+
+
+def test_short_texts_of_values_are_bounded() -> None:
+    values: list[object] = ["lol"]
+    for _ in range(30):
+        values = [values] * 10
+    for value in (values, {"a": values, "b": {1: values}}, "x" * 10**6, 10**5000, {k: k for k in range(999)}):
+        assert 0 < len(short_repr(value)) <= 200
+    assert short_repr([1, "two", None]) == "[1, 'two', None]"

@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import torch
-import yaml
 from annotated_types import Ge
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic.dataclasses import dataclass
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -31,6 +30,7 @@ from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.capture.sources.frames import Selection, Source
 from sphericalvision.capture.sources.moving import Moving
 from sphericalvision.core import ArgumentError, FileFormatError
+from sphericalvision.io.yaml_files import read_yaml
 from sphericalvision.models.weights.files import identity_of
 from sphericalvision.models.weights.pretrained import DEFAULT
 from sphericalvision.recipes.app.captures import AUTO, PosedCapture, cut_to_visible, masked_by_itself
@@ -423,9 +423,10 @@ def _settings_before(folder: Path) -> dict[str, Any]:
     if not path.is_file():
         return {}
     try:
-        stored = OmegaConf.load(path)
-        settings = {str(key): stored[key] for key in stored} if isinstance(stored, DictConfig) else {}
-    except (yaml.YAMLError, OmegaConfBaseException, UnicodeDecodeError, OSError) as error:
+        stored = read_yaml(path)
+        stored = OmegaConf.create(stored if isinstance(stored, dict) else {})
+        settings = {str(key): stored[key] for key in stored}
+    except (FileFormatError, OmegaConfBaseException, OSError) as error:
         raise FileFormatError(f"{path}: is damaged ({error}); {ANEW}") from None
     if not settings:
         raise FileFormatError(f"{path}: expected the settings of the run that wrote it, got none; {ANEW}")

@@ -10,7 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import yaml
 from annotated_types import MinLen
 from pydantic.dataclasses import dataclass
 from rich.progress import track
@@ -22,8 +21,8 @@ from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.data import write_omnistereo
 from sphericalvision.data.omnistereo.ground_truth import read_ground_truth
 from sphericalvision.data.omnistereo.releases import RELEASES, Release
-from sphericalvision.io.files import write_yaml
 from sphericalvision.io.images import read_image
+from sphericalvision.io.yaml_files import read_yaml, write_yaml
 from sphericalvision.recipes.app.cli import build, console, print_config
 from sphericalvision.recipes.app.kinds import STRICT, Count, Number, OnlyWith, Positive, Text
 from sphericalvision.scenes.meshes import MeshFiles, mesh_files
@@ -140,10 +139,10 @@ def check_settings(folder: Path, settings: dict[str, Any], release: str) -> None
             )
         return
     try:
-        stored = yaml.safe_load(path.read_text())
+        stored = read_yaml(path)
         keys = {**settings, **stored}
         differ = {key: stored.get(key) for key in keys if stored.get(key) != settings.get(key)}
-    except (yaml.YAMLError, AttributeError, TypeError, UnicodeDecodeError) as error:
+    except (FileFormatError, AttributeError, TypeError) as error:
         raise FileFormatError(f"{path}: is damaged; choose another output=... folder ({error})") from None
     if differ:
         before = ", ".join(f"{key}={value}" for key, value in differ.items())

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import copy
-import io
 import math
 import os
 import shutil
@@ -26,6 +25,7 @@ from torch import nn
 
 from sphericalvision.core import ArgumentError, check_file
 from sphericalvision.io.files import atomic_write
+from sphericalvision.io.yaml_files import parse_yaml
 from sphericalvision.models import DepthNetwork, save_weights
 from sphericalvision.models.weights.registry import network_name
 from sphericalvision.recipes.app.checkpoints import read_checkpoint
@@ -161,14 +161,15 @@ def changed_settings(folder: Path, config: DictConfig, leave: Sequence[str] = NO
     path = folder / "config.yaml"
     if not path.is_file():
         return []
-    old, new = _written_settings(path.read_text(encoding="utf-8"), tuple(leave)), flat_settings(config, leave)
+    old = _written_settings(path.read_text(encoding="utf-8"), str(path), tuple(leave))
+    new = flat_settings(config, leave)
     keys = [key for key in {**old, **new} if old.get(key) != new.get(key)]
     return [f"{key} was {old.get(key)}, is {new.get(key)}" for key in keys]
 
 
 @lru_cache(maxsize=64)  # a study asks of every training four times whether it is done
-def _written_settings(text: str, leave: tuple[str, ...]) -> dict[str, Any]:
-    return flat_settings(OmegaConf.load(io.StringIO(text)), leave)
+def _written_settings(text: str, where: str, leave: tuple[str, ...]) -> dict[str, Any]:
+    return flat_settings(OmegaConf.create(parse_yaml(text, where) or {}), leave)
 
 
 def flat_settings(config: Any, leave: Sequence[str] = NO_SETTINGS) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -251,7 +252,11 @@ def shape_grid(*axes: Sequence[float]) -> Callable[[FittedModel, Samples], list[
 
 
 def solve_linear(columns: Float[Tensor, "m k"], target: Float[Tensor, " m"]) -> Float[Tensor, " k"]:
-    """Linear least squares with columns of unit length."""
+    """Linear least squares with columns of unit length, the same to the last digit in each run.
+
+    Torch's own solver is not: MKL's QR with pivots adds in another order with each address of the memory, and the
+    polynomials of lenses, whose powers are all but dependent, show it in their tenth digit.
+    """
     length = columns.norm(dim=0)
-    solution = torch.linalg.lstsq(columns / length, target.unsqueeze(-1), driver="gelsd").solution
-    return solution.squeeze(-1) / length
+    solution = np.linalg.lstsq((columns / length).cpu().numpy(), target.cpu().numpy(), rcond=None)[0]
+    return torch.from_numpy(solution).to(columns) / length

@@ -20,8 +20,9 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, check_single
 from sphericalvision.cameras.registry import check_registered
-from sphericalvision.io.files import part_of_name, write_yaml
+from sphericalvision.io.files import part_of_name
 from sphericalvision.io.images import write_mask
+from sphericalvision.io.yaml_files import write_yaml
 
 __all__ = [
     "CAMERA_FORMAT",

@@ -15,13 +15,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
 
-import yaml
+from sphericalvision.core import FileFormatError, MissingFileError
 
-from sphericalvision.core import MissingFileError
-
-__all__ = ["atomic_write", "by_numbers", "list_folder", "part_of_name", "write_bytes", "write_yaml"]
+__all__ = ["atomic_write", "by_numbers", "list_folder", "part_of_name", "read_text", "write_bytes"]
 
 
 def _machine() -> str:
@@ -113,14 +110,29 @@ def write_bytes(path: str | Path, content: bytes) -> None:
             raise OSError(errno.ENOSPC, f"{written} of {len(content)} bytes were written", str(path))
 
 
-def write_yaml(path: str | Path, content: dict[str, Any]) -> None:
-    """Write keys with values in their order, lists on one line.
+def read_text(path: Path) -> str:
+    """The text of a file, in UTF-8, or in UTF-16 if it begins with a byte order mark, as Windows' shells write it.
 
     Raises:
-        OSError: if the file cannot be written.
+        FileFormatError: it is binary, or text in another encoding; the message says which it is.
     """
-    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110)
-    write_bytes(path, text.encode())
+    data = path.read_bytes()
+    is_marked = data[:2] in (b"\xff\xfe", b"\xfe\xff")
+    bad = None
+    try:
+        text = data.decode("utf-16" if is_marked else "utf-8-sig")
+    except UnicodeDecodeError as error:
+        text, bad = "", error.start
+    if re.search("[\0-\x08\x0e-\x1f]", text or ("" if is_marked else data.decode("latin-1"))):
+        is_wide = 0.4 * len(data) < data.count(b"\0") < 0.6 * len(data)
+        kind = "UTF-16 without a byte order mark; save it as UTF-8" if is_wide else "binary data"
+        raise FileFormatError(f"{path}: expected a text file, got {kind}")
+    if bad is not None:
+        raise FileFormatError(
+            f"{path}, line {data[:bad].count(bytes([10])) + 1}: expected text in UTF-8, got the byte "
+            f"0x{data[bad]:02x}, as in cp1252 or Latin-1 of Windows; save the file as UTF-8"
+        )
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def part_of_name(name: str) -> str:

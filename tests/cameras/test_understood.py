@@ -26,7 +26,6 @@ from sphericalvision.cameras import (
     ring_rig,
     save_rig,
 )
-from sphericalvision.cameras.calibration.keys import check_understood, with_keys
 from sphericalvision.core import ArgumentError, FileFormatError, SphericalVisionError
 from tests.cameras.calibration_samples import (
     MRCAL,
@@ -297,16 +296,6 @@ MESSAGE = {
     "d": FIVE, "k": [*K[0], *K[1], *K[2]], "r": [1.0, 0, 0, 0, 1, 0, 0, 0, 1], "p": [0.0] * 12,
     "binning_x": 0, "binning_y": 0,
 }  # fmt: skip
-
-
-def test_a_list_that_holds_itself_ends(tmp_path: Path) -> None:
-    (tmp_path / "rig.yaml").write_text("format: sphericalvision-rig\nversion: 1\ncameras: &a [*a]\n")
-    with pytest.raises(FileFormatError, match=r"rig\.yaml"):
-        read_rig(tmp_path / "rig.yaml")
-    keys = with_keys(yaml.safe_load("comment: &a [*a, {focal: 1}]"), "file")
-    keys.get("comment")
-    with pytest.raises(FileFormatError, match="focal"):
-        check_understood(keys, "file", "")
 
 
 def test_messages_of_ros_are_cropped_and_binned(tmp_path: Path) -> None:

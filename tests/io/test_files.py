@@ -19,15 +19,9 @@ import yaml
 from safetensors.torch import save_file
 
 from sphericalvision.core import MissingFileError, check_file
-from sphericalvision.io.files import (
-    atomic_write,
-    by_numbers,
-    list_folder,
-    part_of_name,
-    write_bytes,
-    write_yaml,
-)
+from sphericalvision.io.files import atomic_write, by_numbers, list_folder, part_of_name, write_bytes
 from sphericalvision.io.images import write_image, write_mask, write_pages
+from sphericalvision.io.yaml_files import write_yaml
 
 
 def test_an_interrupted_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:

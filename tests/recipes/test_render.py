@@ -12,7 +12,7 @@ import torch
 
 from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.data import OmniStereoDataset
-from sphericalvision.io.files import write_yaml
+from sphericalvision.io.yaml_files import write_yaml
 from sphericalvision.recipes.app.rigs import make_ring
 from sphericalvision.recipes.commands.render import numbered_frame
 from sphericalvision.scenes import World

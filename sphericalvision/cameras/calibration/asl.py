@@ -24,7 +24,8 @@ from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called, lens_of, models_of, numbers_of
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError
-from sphericalvision.io.files import by_numbers, write_yaml
+from sphericalvision.io.files import by_numbers
+from sphericalvision.io.yaml_files import write_yaml
 
 __all__ = ["contents", "files_of_rig", "write_asl_camera", "write_asl_rig"]
 

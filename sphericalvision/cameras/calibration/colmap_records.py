@@ -13,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sphericalvision.cameras.calibration.parsing import numbers
-from sphericalvision.cameras.calibration.text_files import data_lines, read_text
+from sphericalvision.cameras.calibration.text_files import data_lines
 from sphericalvision.core import FileFormatError
+from sphericalvision.io.files import read_text
 
 __all__ = [
     "MODELS",

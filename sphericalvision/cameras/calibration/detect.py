@@ -12,9 +12,10 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options, joined
 from sphericalvision.cameras.calibration.formats import FileFormat, file_formats, known_formats
 from sphericalvision.cameras.calibration.keys import Keys, check_understood
-from sphericalvision.cameras.calibration.text_files import STRUCTURED, load, looks_structured, read_text
+from sphericalvision.cameras.calibration.text_files import STRUCTURED, load, looks_structured
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, check_type
+from sphericalvision.io.files import read_text
 
 __all__ = ["read_camera", "read_cameras", "read_rig"]
 

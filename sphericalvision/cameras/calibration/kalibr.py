@@ -31,7 +31,7 @@ from sphericalvision.cameras.calibration.parsing import (
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import invert_transform
-from sphericalvision.io.files import write_yaml
+from sphericalvision.io.yaml_files import write_yaml
 
 __all__ = ["contents", "recognizes", "write_kalibr"]
 

@@ -182,27 +182,22 @@ def as_keys(value: Any, where: str) -> Keys:
     return value
 
 
-def with_keys(value: Any, where: str, converted: dict[int, Any] | None = None) -> Any:
-    """What was parsed, with ``Keys`` in place of all mappings; what stands at two places stays one thing."""
-    converted = {} if converted is None else converted
-    if not isinstance(value, dict | list) or isinstance(value, Keys) or id(value) in converted:
-        return converted.get(id(value), value)
-    if isinstance(value, dict):
-        keys = converted[id(value)] = Keys(where)
+def with_keys(value: Any, where: str) -> Any:
+    """A parsed value, with ``Keys`` in place of all plain mappings."""
+    if isinstance(value, dict) and not isinstance(value, Keys):
+        keys = Keys(where)
         for key, inner in value.items():
-            dict.__setitem__(keys, key, with_keys(inner, f"{where}, {key!s:.80}", converted))
+            dict.__setitem__(keys, key, with_keys(inner, f"{where}, {key!s:.80}"))
         return keys
-    several: list[Any] = []
-    converted[id(value)] = several
-    for index, inner in enumerate(value):  # most are lists of numbers, which need no names
-        is_number = isinstance(inner, int | float)
-        several.append(inner if is_number else with_keys(inner, f"{where}[{index}]", converted))
-    return several
+    if isinstance(value, list):  # most are lists of numbers, which need no names
+        return [
+            inner if isinstance(inner, int | float) else with_keys(inner, f"{where}[{index}]")
+            for index, inner in enumerate(value)
+        ]
+    return value
 
 
-def check_understood(
-    content: Any, where: str, ignored: str, way: str = "", lists: frozenset[int] = frozenset()
-) -> None:
+def check_understood(content: Any, where: str, ignored: str, way: str = "") -> None:
     """Raise for a key that was not read and may matter.
 
     Args:
@@ -211,21 +206,19 @@ def check_understood(
         ignored: what does not matter in this format, as a regular expression for the whole way to a key, ``a/b`` being
             the key b in that of a; places in lists do not count.
         way: to ``content``.
-        lists: those that ``content`` lies in: by aliases of YAML a list may hold itself.
 
     Raises:
         FileFormatError: there is one; the message names it.
     """
-    if isinstance(content, list) and id(content) not in lists:
+    if isinstance(content, list):
         for inner in content:
-            check_understood(inner, where, ignored, way, lists | {id(content)})
+            check_understood(inner, where, ignored, way)
     if not isinstance(content, Keys):
         return
-    read, content.read = content.read, set(content)  # what stands at two places is looked at once
     for key, value in content.items():
         name = f"{way}{key}"
-        if key in read:
-            check_understood(value, where, ignored, f"{name}/", lists)
+        if key in content.read:
+            check_understood(value, where, ignored, f"{name}/")
         elif similar := get_close_matches(str(key), content.missed - set(content), 1, 0.85):
             raise FileFormatError(
                 f"{where}: the key {short_repr(name)} is not known; correct it to {similar[0]!r}, or remove it"

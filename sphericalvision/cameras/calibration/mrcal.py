@@ -20,10 +20,9 @@ from sphericalvision.cameras.calibration.contents import Contents, Gathered, Opt
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import as_keys, check_understood, with_keys
 from sphericalvision.cameras.calibration.lenses import distorted
-from sphericalvision.cameras.calibration.text_files import read_text
 from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import invert_transform, transform_from_axis_angle
-from sphericalvision.io.files import by_numbers
+from sphericalvision.io.files import by_numbers, read_text
 
 __all__ = ["contents", "files_of_rig", "recognizes"]
 

@@ -23,11 +23,11 @@ from sphericalvision.cameras.calibration.parsing import (
     numbers,
     size_from_width_height,
 )
-from sphericalvision.cameras.calibration.text_files import data_lines, looks_structured, read_text
+from sphericalvision.cameras.calibration.text_files import data_lines, looks_structured
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, check_file
 from sphericalvision.geometry import transform_from_axis_angle
-from sphericalvision.io.files import atomic_write, by_numbers
+from sphericalvision.io.files import atomic_write, by_numbers, read_text
 
 __all__ = [
     "check_inverse",

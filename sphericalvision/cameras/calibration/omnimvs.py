@@ -26,8 +26,8 @@ from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import transform_from_axis_angle
-from sphericalvision.io.files import write_yaml
 from sphericalvision.io.images import read_mask, write_mask
+from sphericalvision.io.yaml_files import write_yaml
 
 __all__ = ["contents", "recognizes", "write_omnimvs"]
 

@@ -27,9 +27,9 @@ from sphericalvision.cameras.calibration.keys import Keys, check_understood, wit
 from sphericalvision.cameras.calibration.lenses import Lens
 from sphericalvision.cameras.calibration.parsing import numbers
 from sphericalvision.cameras.calibration.poses import transform_from_rows
-from sphericalvision.cameras.calibration.text_files import once, parse_xml, read_text
+from sphericalvision.cameras.calibration.text_files import once, parse_xml
 from sphericalvision.core import FileFormatError
-from sphericalvision.io.files import by_numbers
+from sphericalvision.io.files import by_numbers, read_text
 
 __all__ = ["contents", "files_of_rig", "recognizes"]
 

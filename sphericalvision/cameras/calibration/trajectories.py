@@ -22,10 +22,10 @@ from torch import Tensor
 from sphericalvision.cameras.calibration.colmap_records import images_in
 from sphericalvision.cameras.calibration.parsing import numbers, view_name
 from sphericalvision.cameras.calibration.poses import transform_from_numbers, transform_from_rows
-from sphericalvision.cameras.calibration.text_files import read_text
 from sphericalvision.cameras.trajectory import Trajectory
 from sphericalvision.core import FileFormatError, MissingFileError, check_file
 from sphericalvision.geometry import invert_transform
+from sphericalvision.io.files import read_text
 from sphericalvision.io.times import in_order, seconds
 
 __all__ = ["read_trajectory"]

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import check_single
 from sphericalvision.cameras.field_of_view import directions_around_axis, visible_angle
+from sphericalvision.cameras.fitting import solve_linear
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.rootfinding import polynomial
@@ -126,9 +127,7 @@ def fit_direct(
     for degree in range(2, _HIGHEST_DEGREE + 1):
         power = torch.tensor([0, *range(2, degree + 1)], dtype=angle.dtype, device=angle.device)
         basis = (radius.unsqueeze(-1) / largest) ** power
-        solution = torch.linalg.lstsq(
-            basis * pixels_per_unit.unsqueeze(-1), (target * pixels_per_unit).unsqueeze(-1)
-        ).solution.squeeze(-1)
+        solution = solve_linear(basis * pixels_per_unit.unsqueeze(-1), target * pixels_per_unit)
         error = float(((basis @ solution - target) * pixels_per_unit).abs().max())
         if error < least:
             scaled = solution / largest**power

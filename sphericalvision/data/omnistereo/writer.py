@@ -10,7 +10,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
-import yaml
 
 from sphericalvision.cameras import (
     Camera,
@@ -34,8 +33,9 @@ from sphericalvision.data.omnistereo.releases import (
     read_min_depth,
 )
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.io.files import write_bytes, write_yaml
+from sphericalvision.io.files import write_bytes
 from sphericalvision.io.images import write_image
+from sphericalvision.io.yaml_files import read_yaml, write_yaml
 
 __all__ = ["ocam_from_camera", "write_omnistereo"]
 
@@ -182,9 +182,7 @@ def _calibration(root: Path, layout: Release, rig: CameraRig, min_depth: float) 
             config = Path(folder) / layout.calibration
             ocam = all(isinstance(camera, OCamCamera) for camera in rig.cameras.values())
             save_rig(rig, config, format="omnimvs" if ocam else "native")
-            write_yaml(
-                config, {**_description(root, layout, min_depth), **yaml.safe_load(config.read_text())}
-            )
+            write_yaml(config, {**_description(root, layout, min_depth), **read_yaml(config)})
         return {path.name: path.read_bytes() for path in Path(folder).iterdir()}
 
 

@@ -104,6 +104,8 @@ class Capture(Calibration):
         files: list[Path] = []
         if self.masks not in (None, AUTO):
             rig, files = rig_with_masks(rig, self.masks, cameras)
+        elif rig.masks and self.masks is None:
+            print(f"Masks: of {', '.join(rig.masks)}, which come with {self.calibration}.")
         source = open_source(self.images, rig, self.frames, files, cameras, self.tolerance)
         rig = source.rig
         print_labels(source)

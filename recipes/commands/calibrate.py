@@ -235,6 +235,7 @@ def _of_videos(files: Mapping[str, Path], views: list[str], num_frames: int) -> 
 
 def _read(moments: Iterable[Moment], names: list[str], board: Board) -> Pictures:
     sizes: dict[str, tuple[int, int]] = {}
+    last: dict[str, Tensor] = {}
     labels: list[Mapping[str, str]] = []
     shape = len(names), len(board.points)
     pixels, seen = [torch.zeros(0, *shape, 2).double()], [torch.zeros(0, *shape).bool()]
@@ -250,7 +251,7 @@ def _read(moments: Iterable[Moment], names: list[str], board: Board) -> Pictures
                         f"images: {moment.labels[name]} has {image.shape[-1]} x {image.shape[-2]} pixels (width x "
                         f"height), expected {width} x {height}, the size of the first picture of {name}"
                     )
-                place = names.index(name)
+                place, last[name] = names.index(name), image
                 pixels[-1][0, place], seen[-1][0, place] = board.find(image)
     corners, valid = torch.cat(pixels), torch.cat(seen)
     for place, name in enumerate(names):
@@ -259,8 +260,7 @@ def _read(moments: Iterable[Moment], names: list[str], board: Board) -> Pictures
         if boards < 3:
             raise ArgumentError(
                 f"images: the board is found on {boards} of {count} pictures of {name}, and three are needed, better "
-                "twenty; for squares board= counts the corners between them, not the squares; leave a white border "
-                "around the board"
+                f"twenty; {board.remedy(last[name]) if name in last else 'there are none'}"
             )
     return Pictures(labels, {name: sizes[name] for name in names}, corners, valid)
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import torch
@@ -11,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, check_file
 from sphericalvision.kernels import full_precision
 
 __all__ = ["OPTICAL_FROM_ROS", "placed", "read_pose", "tilt_of"]
@@ -47,7 +48,9 @@ def placed(rig: CameraRig, transform: Float[Tensor, "4 4"]) -> CameraRig:
 
 
 def read_pose(path: str | Path, key: str) -> Float[Tensor, "4 4"]:
-    """The one pose ``(4, 4)`` of a file: 12 or 16 numbers, or a line of TUM's.
+    """The one pose ``(4, 4)`` of a file: 3 or 4 rows of a matrix, in lines or in one, or a line of TUM's.
+
+    Commas and brackets may stand around numbers, as numpy and JSON print matrices.
 
     Args:
         path: of the file.
@@ -57,12 +60,20 @@ def read_pose(path: str | Path, key: str) -> Float[Tensor, "4 4"]:
         ArgumentError: the file holds several.
         FileFormatError: it holds none.
     """
+    from sphericalvision.cameras.calibration.parsing import numbers
+    from sphericalvision.cameras.calibration.poses import transform_from_rows
     from sphericalvision.cameras.calibration.trajectories import read_trajectory
 
+    lines = check_file(path, "a pose").read_bytes().decode(errors="replace").splitlines()
+    rows = [re.sub(r"[\[\](),;]|\barray\b", " ", line.split("#")[0]).split() for line in lines]
+    entries = [entry for row in rows for entry in row]
+    if {len(row) for row in rows if row} in ({4}, {12}, {16}) and len(entries) in (12, 16):
+        return transform_from_rows(numbers(entries, str(path)), str(path))
     poses = read_trajectory(path).world_from_camera
     if len(poses) != 1:
         raise ArgumentError(
-            f"{key}: expected one pose, 12 or 16 numbers or a line of TUM's, got {len(poses)} in {path}"
+            f"{key}: expected one pose, a matrix of 3 or 4 rows of 4 numbers or a line 'time x y z qx qy qz qw', got "
+            f"{len(poses)} in {path}"
         )
     return poses[0]
 

@@ -124,8 +124,8 @@ class _Loader(_SafeLoader):
         return super().construct_mapping(node, deep)
 
     def construct_decimal(self, node: yaml.ScalarNode) -> Any:
-        """A number as everybody means it: to YAML 1:30 is 90, and 010 is 8."""
-        if re.search(r":|^[-+]?0[\d_]", node.value):
+        """A number as everybody means it: to YAML 1:30 is 90, and 010 is 8; dates are texts."""
+        if node.tag.endswith("timestamp") or re.search(r":|^[-+]?0[\d_]", node.value):
             return node.value
         is_whole = node.tag.endswith("int")
         return self.construct_yaml_int(node) if is_whole else self.construct_yaml_float(node)
@@ -136,11 +136,10 @@ class _Loader(_SafeLoader):
         return self.construct_mapping(node, deep=True)
 
 
-for _name in ("int", "float"):
+for _name in ("int", "float", "timestamp"):
     _Loader.add_constructor(f"tag:yaml.org,2002:{_name}", _Loader.construct_decimal)
 for _name in ("opencv-matrix", "opencv-nd-matrix"):
     _Loader.add_constructor(f"tag:yaml.org,2002:{_name}", _Loader.construct_matrix)
-_Loader.add_constructor("tag:yaml.org,2002:timestamp", _Loader.construct_yaml_str)
 
 
 def write_yaml(path: str | Path, content: dict[str, Any]) -> None:

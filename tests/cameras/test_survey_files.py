@@ -133,7 +133,7 @@ def test_sensors_of_metashape_without_a_calibration(tmp_path: Path) -> None:
     assert rig.cameras["pano"].image_size == (960, 1920)
     unused = CHUNK.replace("</sensors>", sensor.replace("TYPE", "frame"))
     assert read_rig(written(tmp_path / "unused.xml", unused)).names == ["DSC_1", "DSC_2"]
-    with pytest.raises(FileFormatError, match=r"camera 'pano': expected .* a sensor of cam0, cam1, cam2"):
+    with pytest.raises(FileFormatError, match=r"camera 'pano': .* sensor"):
         read_rig(written(tmp_path / "used.xml", unused.replace("</cameras>", f"{photo}</cameras>")))
 
 

@@ -11,10 +11,14 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+import torch
+from torch import Tensor
 
 from sphericalvision.cameras.calibration.parsing import numbers
+from sphericalvision.cameras.calibration.poses import transform_from_numbers
 from sphericalvision.cameras.calibration.text_files import data_lines
 from sphericalvision.core import FileFormatError
+from sphericalvision.geometry import invert_transform
 from sphericalvision.io.files import read_text
 
 __all__ = [
@@ -115,6 +119,17 @@ class SensorRecord(NamedTuple):
     """qw qx qy qz tx ty tz, rig to sensor; None if it is not known."""
 
 
+class FrameRecord(NamedTuple):
+    """A moment of ``frames.*``: where a rig was, and the images that it took."""
+
+    where: str
+    rig: int
+    pose: list[float]
+    """qw qx qy qz tx ty tz, world to rig."""
+    images: dict[int, tuple[str, int]]
+    """Id of an image -> type and id of the sensor that took it."""
+
+
 class RigRecord(NamedTuple):
     """A rig of ``rigs.*``; its frame is that of its reference sensor."""
 
@@ -138,9 +153,50 @@ def cameras_in(path: Path) -> list[CameraRecord]:
 
 
 def images_in(path: Path) -> list[ImageRecord]:
-    """Of ``images.txt``, whose lines come in pairs, the second of which may be empty, or ``images.bin``."""
-    if path.suffix == ".bin":
-        return _Bytes(path).records(_binary_image)
+    """Of ``images.txt`` or ``images.bin``, whose poses agree with ``frames`` and ``rigs`` next to them.
+
+    COLMAP 4 keeps poses twice and uses those of the frames; a version of it left old ones in ``images``.
+
+    Raises:
+        FileFormatError: a record is broken, or the pose of an image is not that of its frame and sensor.
+    """
+    images = _Bytes(path).records(_binary_image) if path.suffix == ".bin" else _text_images(path)
+    frames, rigs = (path.with_name(f"{name}{path.suffix}") for name in ("frames", "rigs"))
+    if frames.is_file() and rigs.is_file():
+        _check_frames(images, _records(frames, _text_frame, _binary_frame), rigs_in(rigs))
+    return images
+
+
+def _check_frames(images: list[ImageRecord], frames: list[FrameRecord], rigs: list[RigRecord]) -> None:
+    sensor_from_rig = {
+        (rig.id, sensor.type, sensor.id): _transform(sensor.pose, rig.where)
+        for rig in rigs
+        for sensor in (rig.reference._replace(pose=[1.0, 0, 0, 0, 0, 0, 0]), *rig.sensors)
+        if sensor.pose is not None
+    }
+    by_id = {image.id: image for image in images}
+    for frame in frames:
+        rig_from_world = _transform(frame.pose, frame.where)
+        for id, sensor in frame.images.items():
+            image, offset = by_id.get(id), sensor_from_rig.get((frame.rig, *sensor))
+            if image is None or offset is None:  # not an image, or the sensor's place is not known
+                continue
+            expected, stated = offset @ rig_from_world, _transform(image.pose, image.where)
+            if not torch.allclose(expected, stated, rtol=1e-5, atol=1e-4):
+                distance = (invert_transform(expected) - invert_transform(stated))[:3, 3].norm()
+                raise FileFormatError(
+                    f"{image.where}: the pose of {image.name!r:.80} is not the one that its frame has ({frame.where}); "
+                    f"the positions are {distance:.3g} apart. COLMAP uses the frames: let it write the model again "
+                    "(colmap model_converter), or delete frames and rigs if the images are right"
+                )
+
+
+def _transform(pose: list[float], where: str) -> Tensor:
+    return transform_from_numbers(pose[:4], pose[4:], where)
+
+
+def _text_images(path: Path) -> list[ImageRecord]:
+    """Lines come in pairs, the second of which may be empty."""
     lines = [
         (number, line)
         for number, line in enumerate(read_text(path).splitlines(), start=1)
@@ -222,6 +278,23 @@ def _text_rig(words: list[str], where: str) -> RigRecord:
             f"{where}: announces {count} sensors and has {len(sensors)} and {len(words)} words more; is it cut off?"
         )
     return RigRecord(where, rig, reference, sensors)
+
+
+def _text_frame(words: list[str], where: str) -> FrameRecord:
+    if len(words) < 10 or not words[9].isdecimal() or len(words) != 10 + 3 * int(words[9]):
+        raise FileFormatError(
+            f"{where}: expected FRAME_ID RIG_ID QW QX QY QZ TX TY TZ NUM_DATA_IDS and three words for each of these "
+            f"(SENSOR_TYPE SENSOR_ID DATA_ID), got {len(words)} words; is it cut off?"
+        )
+    types, sensors, images = words[10::3], _ids(words[11::3], where), _ids(words[12::3], where)
+    pose = numbers(words[2:9], f"{where}, QW QX QY QZ TX TY TZ", 7)
+    return FrameRecord(where, _ids(words[1:2], where)[0], pose, _sensors(types, sensors, images))
+
+
+def _sensors(types: Sequence[str], sensors: Sequence[int], data: Sequence[int]) -> dict[int, tuple[str, int]]:
+    """Images by id; data of other sensors are numbered apart."""
+    entries = zip(types, sensors, data, strict=True)
+    return {image: (type, sensor) for type, sensor, image in entries if type == "CAMERA"}
 
 
 def _ids(words: list[str], where: str) -> list[int]:
@@ -315,6 +388,16 @@ def _binary_rig(file: _Bytes) -> RigRecord:
         pose = numbers(list(file.take("7d")), f"{where}, QW QX QY QZ TX TY TZ") if has_pose else None
         sensors.append(SensorRecord(type, id, pose))
     return RigRecord(where, rig, reference, sensors)
+
+
+def _binary_frame(file: _Bytes) -> FrameRecord:
+    where = file.where
+    _, rig, *pose, count = file.take("II7dI")
+    entries = [(*_binary_sensor(file), *file.take("Q")) for _ in range(count)]
+    types, sensors, images = zip(*entries, strict=True) if entries else ((), (), ())
+    return FrameRecord(
+        where, rig, numbers(pose, f"{where}, QW QX QY QZ TX TY TZ"), _sensors(types, sensors, images)
+    )
 
 
 def _binary_sensor(file: _Bytes) -> tuple[str, int]:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,12 +13,16 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.parsing import check_radius, errors_of_file
+from sphericalvision.cameras.calibration.parsing import FARTHEST, check_radius, errors_of_file
 from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, short_repr
 
-__all__ = ["Contents", "Gathered", "Options", "joined"]
+__all__ = ["Contents", "Gathered", "Options", "joined", "warn_left_out"]
+
+
+SHORTEST, LONGEST = 0.02, 100.0
+"""Focal lengths in longer sides of the image: a lens of 280° has 0.2, a telescope 50."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +56,30 @@ class Contents:
     """(n, 4, 4), float64, metres."""
     masks: Mapping[str, Tensor] = field(default_factory=dict)
 
-    def with_checked_centers(self, path: Path) -> Contents:
-        """The same, with a warning of a principal point that would be in the middle of an image of another size."""
+    def checked(self, path: Path) -> Contents:
+        """The same, with a warning of numbers that would make sense in another unit or for another size of image.
+
+        Raises:
+            FileFormatError: a position is farther away than any place on Earth.
+        """
+        if self.world_from_camera is not None and (self.world_from_camera[:, :3, 3].abs() > FARTHEST).any():
+            raise FileFormatError(
+                f"{path}: a camera is more than {FARTHEST:g} m from the origin; expected metres"
+            )
+        for name, camera in self.cameras.items():
+            focal_length = getattr(camera, "focal_length", None)
+            longest = max(camera.image_size)
+            if focal_length is not None and not (
+                bool((focal_length > SHORTEST * longest).all())
+                and bool((focal_length < LONGEST * longest).all())
+            ):
+                warnings.warn(
+                    f"{path}: the focal length of {name:.80}, {focal_length.tolist()}, is implausible for an image "
+                    f"whose longer side has {longest} pixels; are these millimetres, or fractions of the image? "
+                    "Expected pixels",
+                    stacklevel=5,
+                )
+                break
         for name, camera in self.cameras.items():
             center = getattr(camera, "principal_point", None)
             if center is None:
@@ -117,6 +143,14 @@ class Contents:
         with errors_of_file(str(path)):
             rig = CameraRig(self.cameras, self.world_from_camera, dict(self.masks))
             return check_radius(rig.to(dtype=dtype or torch.get_default_dtype()), path)
+
+
+def warn_left_out(path: Path, mark: str, names: Sequence[str]) -> None:
+    """Warn of what a file itself marks as not to be used."""
+    if names:
+        names = [f"{name:.80}" for name in names]
+        shown = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+        warnings.warn(f"{path}: {len(names)} left out, which the file marks as {mark}: {shown}", stacklevel=5)
 
 
 class Gathered:

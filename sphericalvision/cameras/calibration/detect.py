@@ -150,7 +150,7 @@ def _read(path: Path, options: Options) -> Contents:
     for format in file_formats() if path.suffix.lower() not in STRUCTURED else ():
         if format.recognizes_file and format.contents_of_file and format.recognizes_file(path):
             _check_unit(path, format, options)
-            return format.contents_of_file(path, options).with_checked_centers(path)
+            return format.contents_of_file(path, options).checked(path)
     content = load(path) if looks_structured(path) else None
     if isinstance(content, list) and len(content) == 1:
         content = content[0]
@@ -162,7 +162,7 @@ def _read(path: Path, options: Options) -> Contents:
             content.forget()
             calibration = format.contents_of_keys(content, path, options)
             check_understood(content, str(path), format.ignored)
-            return calibration if format.name == "native" else calibration.with_checked_centers(path)
+            return calibration if format.name == "native" else calibration.checked(path)
     keys = f"; its keys are {', '.join(map(str, content))[:200]}" if isinstance(content, dict) else ""
     raise FileFormatError(f"{path}: {_likely_program(path)}; {known_formats()}{keys}")
 
@@ -209,7 +209,7 @@ def _calibration_files(path: Path) -> list[Path]:
         return [path]
     if not path.is_dir():
         raise MissingFileError(
-            f"{path}: no such file or folder (a calibration was expected; {known_formats()})"
+            f"{path}: no such file or folder (a calibration was expected; looked in {path.parent.absolute()})"
         )
     usual = [name for format in file_formats() for name in format.usual_names]
     per_format = [[path / name for name in f.usual_names if (path / name).is_file()] for f in file_formats()]

@@ -44,6 +44,11 @@ _MATTER = re.compile(
 """With one of these words a key may matter for all the others, except ``camera_name`` and the like."""
 _NAMES = re.compile(r"(?i)(camera|cam|lens)_?(name|id|label|serial(_?(no|number))?)|type_id")
 
+_SETS = re.compile(
+    r"(?i)\w*(time_?stamp|stamp|uuid|session|recording|serial(_?(no|number))?|(group|component|rig|device)(_?id)?)\w*|time"
+)
+"""Identifiers by which the entries of one list may be of several sets."""
+
 SETTINGS = "(?!(?i:crop|roi|binning|scale|resiz|downs|flip|rotat|undist))"
 """In front of the pattern of a program's settings, whatever they are called: none crops, scales or turns the image."""
 
@@ -146,14 +151,15 @@ class Keys(dict[Any, Any]):
         return matrix(self.entry(key), self.at(key), count)
 
     def coefficients(self, key: str, count: int) -> list[float]:
-        """So many coefficients of a distortion; of none the key may be missing, and says 0 where it is there."""
-        if count:
-            return self.numbers(key, count)
-        if (more := self.get(key)) and any(numbers(more, self.at(key))):
+        """So many coefficients of a distortion, behind which zeros may stand; of none the key may be missing."""
+        values = self.get(key) if count == 0 else self.entry(key)
+        coefficients = numbers(values, self.at(key)) if values or count else []
+        if any(coefficients[count:]) or len(coefficients) < count:
             raise FileFormatError(
-                f"{self.at(key)}: expected none with the distortion_model none, got {short_repr(more)}"
+                f"{self.at(key)}: expected {count or 'no'} coefficients of the distortion_model, got "
+                f"{short_repr(values)}"
             )
-        return []
+        return coefficients[:count]
 
     def pose(self, key: str) -> Float[Tensor, "4 4"]:
         """A rigid transform (4, 4), float64, of 4 or 3 rows of 4 numbers, as ``transform_from_rows`` has them."""
@@ -211,6 +217,7 @@ def check_understood(content: Any, where: str, ignored: str, way: str = "") -> N
         FileFormatError: there is one; the message names it.
     """
     if isinstance(content, list):
+        _check_one_set([inner for inner in content if isinstance(inner, Keys)], where)
         for inner in content:
             check_understood(inner, where, ignored, way)
     if not isinstance(content, Keys):
@@ -227,6 +234,20 @@ def check_understood(content: Any, where: str, ignored: str, way: str = "") -> N
             raise FileFormatError(
                 f"{where}: the key {short_repr(name)} is not understood here, and the camera may be another one with "
                 "it; correct its name, or remove it if it does not matter"
+            )
+
+
+def _check_one_set(entries: list[Keys], where: str) -> None:
+    """Refuse a list that an identifier splits into several sets: cameras of two moments or devices are no rig.
+
+    Identifiers that all differ name the entries, as the times of a camera that moves do.
+    """
+    for key in dict.fromkeys(key for entry in entries for key in entry if key not in entry.read):
+        values = [str(dict.get(entry, key)) for entry in entries if dict.__contains__(entry, key)]
+        if _SETS.fullmatch(str(key)) and 1 < len(set(values)) < len(values):
+            raise FileFormatError(
+                f"{where}: the entries have {len(set(values))} values of {key!r} ({short_repr(sorted(set(values)))}), "
+                "as of several moments or devices; keep those of one"
             )
 
 

@@ -203,9 +203,10 @@ def distorted(
         FileFormatError: the name is not known, or the model has another number of coefficients.
     """
     kind = chosen_model(kind, dict.fromkeys(lens.name for lens in _DISTORTED), f"{where}, model of the lens")
-    if kind == "none" and not any(numbers[4:]):
-        numbers = numbers[:4]
     fitting = [lens for lens in _DISTORTED if lens.name == kind]
+    most = max(len(lens.keys) for lens in fitting)
+    if not any(numbers[most:]):  # the T265 has a fifth coefficient of 0, which its model has not
+        numbers = numbers[:most]
     for lens in fitting:
         if len(lens.keys) == len(numbers):
             return lens.camera(numbers, image_size, where, skew=skew)

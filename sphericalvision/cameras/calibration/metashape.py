@@ -26,7 +26,7 @@ from typing import Any
 import torch
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options, warn_left_out
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens
@@ -118,20 +118,27 @@ def _of_cameras(
     elements = {str(camera.get("id")): camera for camera in _cameras_in(chunk.get("cameras"))}
     components = {str(part.get("id")): part for part in _each(chunk.get("components"), "component")}
     cameras: dict[str, Camera] = {}
-    poses, used = [], set()
+    poses, used, disabled = [], set(), []
     for camera in elements.values():
         sensor, name = f"cam{camera.get('sensor_id')}", view_name(camera.get("label") or camera.get("id"))
         where = f"{path}, camera {name!r:.80}"
+        if str(camera.get("enabled", "true")).strip().lower() in ("false", "0"):
+            disabled.append(name)
+            camera.read.update(camera)
+            continue
         master = elements.get(str(camera.get("master_id", camera.get("id"))))
         if master is None:
             raise FileFormatError(f"{where}, master_id: there is no camera {camera['master_id']!r:.80}")
         transform = camera.get("transform", master.get("transform"))
         if transform is None:
             continue  # was not aligned
-        if name in cameras or sensor not in sensors:
+        if name in cameras:
             raise FileFormatError(
-                f"{where}: expected a label of its own and a sensor of {', '.join(sensors)}"
+                f"{where}: a second camera has this label, perhaps in another group; give each a label of its own in "
+                "Metashape, such as group/image"
             )
+        if sensor not in sensors:
+            raise FileFormatError(f"{where}: expected a sensor of {', '.join(sensors)}, got {sensor}")
         if _floats(camera.get("orientation", "1"), f"{where}, orientation", 1) != [1.0]:
             raise FileFormatError(f"{where}, orientation: expected 1, got a turned image; align it upright")
         pose = transform_from_rows(_floats(transform, f"{where}, transform"), f"{where}, transform")
@@ -145,7 +152,8 @@ def _of_cameras(
         cameras[name] = sensors[sensor]
         poses.append(pose)
     if not cameras:
-        raise FileFormatError(f"{path}: no camera in it has a transform")
+        raise FileFormatError(f"{path}: no camera in it is enabled and has a transform")
+    warn_left_out(path, "disabled", disabled)
     if len(used) > 1:
         raise FileFormatError(
             f"{path}: the cameras are of {len(used)} components, which have no common frame; export one"

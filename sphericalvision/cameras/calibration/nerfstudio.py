@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options, warn_left_out
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import (
@@ -70,7 +70,7 @@ _IGNORED = (
     r"aabb\w*|offset|up|from_na|applied_transform|\w*filenames|sharpness\w*|render_aabb|n_extra_learnable_dims|n_frames"
     r"|(orientation|auto_scale_poses)_override|(white|black)_transparent|(integer_depth|depth_unit)_scale\w*|has_mask"
     r"|enable_depth_loading|test_frames|(frames/)?(w|h|\w+_path|camera_angle_[xy]|fl_[xy]|c[xy]|k[1-4]|p[12])"
-    r"|frames/(sharpness|colmap_im_id|rotation|time|bbox|is_bad)"
+    r"|frames/(sharpness|colmap_im_id|rotation|time|bbox)"
 )
 
 
@@ -87,7 +87,7 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     Raises:
         ArgumentError: the size of the images is neither in the file nor given.
     """
-    frames = content.several("frames")
+    frames = _usable(content, path)
     own = [bool(_OWN & set(frame)) for frame in frames]
     for key in ("scale", "applied_scale"):
         if content.number(key, 1) != 1:
@@ -106,6 +106,20 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     if not options.rig and shared and not any(own):
         return Gathered(options).add("cam1", shared, content.where).contents
     return calibration.contents
+
+
+def _usable(content: Keys, path: Path) -> list[Keys]:
+    """The frames but for those that ScanNet++ marks as bad."""
+    frames = content.several("frames")
+    bad = [frame for frame in frames if str(frame.get("is_bad", False)).lower() not in ("false", "0")]
+    if len(bad) == len(frames):
+        raise FileFormatError(
+            f"{path}: all {len(frames)} frames are marked is_bad; expected some that are not"
+        )
+    warn_left_out(path, "is_bad", [str(frame.get("file_path")) for frame in bad])
+    for frame in bad:
+        frame.read.update(frame)
+    return [frame for frame in frames if not any(frame is other for other in bad)]
 
 
 def _camera(values: Keys, options: Options) -> Camera:

@@ -289,7 +289,7 @@ def _values(camera: Camera, suffix: str) -> dict[str, Any]:
 register_format(
     FileFormat(
         "opencv",
-        "OpenCV FileStorage",
+        "OpenCV FileStorage, ROS camera_info",
         recognizes_keys=recognizes,
         contents_of_keys=contents,
         usual_names=("extrinsics.yml",),

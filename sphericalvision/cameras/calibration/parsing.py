@@ -16,6 +16,7 @@ from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import FileFormatError, SphericalVisionError, check_choice, short_repr
 
 __all__ = [
+    "FARTHEST",
     "METRES_PER_UNIT",
     "check_radius",
     "chosen",
@@ -30,6 +31,8 @@ __all__ = [
 ]
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+FARTHEST = 1e8
+"""Metres from the origin; no place on Earth is as far from its centre."""
 LARGEST_SIDE = 100_000
 """Of an image, in pixels; more is taken for a damaged file."""
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from sphericalvision.cameras.base import Camera, check_single
 from sphericalvision.cameras.calibration.formats import file_format, file_formats
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import check_choice, check_type
+from sphericalvision.core import ArgumentError, check_choice, check_type
 
 __all__ = ["camera_formats", "rig_formats", "save_camera", "save_rig"]
 
@@ -59,7 +59,7 @@ def save_camera(camera: Camera, path: str | Path, format: str | None = None) -> 
     """
     format = format or "native"
     if format != "native":  # which needs none of the others
-        check_choice("format", format, camera_formats())
+        _check_format(format, camera_formats())
     check_type("camera", camera, Camera)
     check_single(camera)
     write = file_format(format).write_camera
@@ -89,7 +89,7 @@ def save_rig(rig: CameraRig, path: str | Path, format: str | None = None) -> Non
     """
     format = format or "native"
     if format != "native":  # which needs none of the others
-        check_choice("format", format, rig_formats())
+        _check_format(format, rig_formats())
     check_type("rig", rig, CameraRig)
     check_single(rig)
     write = file_format(format).write_rig
@@ -102,3 +102,14 @@ def save_rig(rig: CameraRig, path: str | Path, format: str | None = None) -> Non
             f"({', '.join(with_masks)} hold them)",
             stacklevel=2,
         )
+
+
+def _check_format(format: str, written: tuple[str, ...]) -> None:
+    for other in file_formats():
+        names = f"{other.name} {other.title}".lower().split()
+        if isinstance(format, str) and format not in written and format.lower() in names:
+            raise ArgumentError(
+                f"format: expected one of {', '.join(written)}, got {format!r}; files of {other.title} are read, and "
+                "not written in this form"
+            )
+    check_choice("format", format, written)

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.calibration.colmap_records import images_in
-from sphericalvision.cameras.calibration.parsing import numbers, view_name
+from sphericalvision.cameras.calibration.parsing import FARTHEST, numbers, view_name
 from sphericalvision.cameras.calibration.poses import transform_from_numbers, transform_from_rows
 from sphericalvision.cameras.trajectory import Trajectory
 from sphericalvision.core import FileFormatError, MissingFileError, check_file
@@ -36,11 +36,9 @@ EXPECTED = (
 )
 
 COLUMNS = ("time", "x", "y", "z", "qw", "qx", "qy", "qz")
-TUM = (0, 1, 2, 3, 7, 4, 5, 6)
-"""Where ``COLUMNS`` stand in a line of TUM's."""
+TUM = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
+"""The order of ``COLUMNS`` in a line of TUM's, which has no header."""
 _TIMES = ("time", "seconds", "nanoseconds")
-FARTHEST = 1e8
-"""Metres from the origin; no place on Earth is as far from its centre."""
 _HEADERS = {
     "time": re.compile(r"(?i)time|t|(time)?_?stamp"),
     "seconds": re.compile(r"(?i)\S*(time|stamp)[_./]?(s|secs?|seconds)|secs?|seconds"),
@@ -89,7 +87,7 @@ def read_trajectory(path: str | Path) -> Trajectory:
             raise MissingFileError(
                 f"{path}: expected images.txt or images.bin in this folder, or a file of poses"
             )
-        trajectory, *others = map(_of_images, files)
+        trajectory, *others = map(_images, files)
         for other in others:
             both = trajectory.world_from_camera, other.world_from_camera
             if trajectory.names != other.names or not torch.allclose(*both, rtol=1e-7, atol=1e-5):
@@ -97,41 +95,64 @@ def read_trajectory(path: str | Path) -> Trajectory:
         return trajectory
     check_file(path, "poses of a moving camera")
     if path.suffix == ".bin":
-        return _of_images(path)
+        return _images(path)
     header, lines = _table(path)
     if not lines:
         raise FileFormatError(f"{path}: no pose in it; expected {EXPECTED}")
-    first, words = lines[0]
-    count = len(words)
+    number, first = lines[0]
+    where, count = f"{path}, line {number}", len(first)
     if path.name == "images.txt" or (count == 10 and header is None):
-        return _of_images(path)
-    if header is None and (count not in (8, 12, 13, 16, 17) or "," in words):
-        raise FileFormatError(f"{path}, line {first}: {count} words; expected {EXPECTED}")
-    if header is not None and len(header) > count:
+        return _images(path)
+    if header is None and count == 8:
+        header = list(TUM)
+        if numbers(first, where)[4:] == [1.0, 0.0, 0.0, 0.0]:
+            warnings.warn(
+                f"{where}: 1 0 0 0 is half a turn about x, as qx comes first where no header says otherwise; "
+                "if qw does, put a line before all others: # time tx ty tz qw qx qy qz",
+                stacklevel=2,
+            )
+    if header is not None:
+        return _columns_of_poses(header, lines, path)
+    if count not in (12, 13, 16, 17):
+        columns = [text for text in re.split("[,;]", " ".join(first)) if text.strip()]
+        if len(columns) > count:
+            raise FileFormatError(
+                f"{where}: {len(columns)} columns separated by commas or semicolons, and no line that names them; put "
+                f"one before all others, such as # {','.join(TUM)}"
+            )
+        raise FileFormatError(f"{where}: {count} values; expected {EXPECTED}")
+    return _matrices(lines, path)
+
+
+def _columns_of_poses(header: list[str], lines: list[tuple[int, list[str]]], path: Path) -> Trajectory:
+    """TUM's and EuRoC's: time, position and quaternion, in the order of the header."""
+    number, count = lines[0][0], len(lines[0][1])
+    if len(header) > count:
         raise FileFormatError(
-            f"{path}, line {first}: {count} values, but the header names {len(header)} columns ({' '.join(header)}); "
+            f"{path}, line {number}: {count} values, but the header names {len(header)} columns ({' '.join(header)}); "
             "correct the header, which decides their order, or remove it"
         )
-    if header is None and count == 8 and numbers(words, f"{path}, line {first}")[4:] == [1.0, 0.0, 0.0, 0.0]:
-        warnings.warn(
-            f"{path}, line {first}: 1 0 0 0 is half a turn about x, as qx comes first where no header says otherwise; "
-            "if qw does, put a line before all others: # time tx ty tz qw qx qy qz",
-            stacklevel=2,
-        )
+    order = [header.index(name) for name in COLUMNS[1:]]
     names, poses = [], []
-    for row, (line, words) in enumerate(lines):
-        where = f"{path}, line {line}"
-        values = numbers(words, where, count)
-        if header is not None or count == 8:
-            order = TUM[1:] if header is None else [header.index(name) for name in COLUMNS[1:]]
-            place, turn = ([values[column] for column in part] for part in (order[:3], order[3:]))
-            names.append(words[0] if header is None else _time(header, words, values, where))
-            poses.append(transform_from_numbers(turn, place, where))
-        else:
-            names.append(str(row) if count % 4 == 0 else words[0])
-            poses.append(transform_from_rows(values[count % 4 :], where))
-    has_times = header is not None or count == 8
-    return _trajectory(names, poses, path, not has_times and count % 4 == 0, has_times)
+    for number, entries in lines:
+        where = f"{path}, line {number}"
+        values = numbers(entries, where, count)
+        position, quaternion = ([values[column] for column in group] for group in (order[:3], order[3:]))
+        names.append(_time(header, entries, values, where))
+        poses.append(transform_from_numbers(quaternion, position, where))
+    return _trajectory(names, poses, path, are_times=True)
+
+
+def _matrices(lines: list[tuple[int, list[str]]], path: Path) -> Trajectory:
+    """KITTI's: 3 or 4 rows of 4 numbers in a line, after the number of the image or without it."""
+    count = len(lines[0][1])
+    has_number = count % 4 == 1
+    names, poses = [], []
+    for row, (number, entries) in enumerate(lines):
+        values = numbers(entries, f"{path}, line {number}", count)
+        names.append(entries[0] if has_number else str(row))
+        poses.append(transform_from_rows(values[has_number:], f"{path}, line {number}"))
+    return _trajectory(names, poses, path, names_are_rows=not has_number)
 
 
 def _table(path: Path) -> tuple[list[str] | None, list[tuple[int, list[str]]]]:
@@ -185,11 +206,18 @@ def _columns(line: str) -> list[str] | None:
     return names or None
 
 
-def _of_images(path: Path) -> Trajectory:
-    """Of COLMAP's images, in the order of their names."""
+def _images(path: Path) -> Trajectory:
+    """COLMAP's images, in the order of their names."""
     named: list[tuple[str, Tensor]] = []
+    folders: dict[str, str] = {}
     for image in images_in(path):
-        name = view_name(image.name).rsplit("/", 1)[-1]
+        folder, _, name = view_name(image.name).rpartition("/")
+        if folders.setdefault(name, folder) != folder:
+            raise FileFormatError(
+                f"{image.where}: {name} is in {folders[name] or '.'} and in {folder or '.'}: images of a rig of "
+                "several cameras; expected poses of one camera, or of the rig itself, a line 'time x y z qx qy qz qw' "
+                "for each moment"
+            )
         named.append(
             (name, invert_transform(transform_from_numbers(image.pose[:4], image.pose[4:], image.where)))
         )

@@ -69,7 +69,7 @@ class Board(ABC):
 
     def find(self, image: Float[Tensor, "3 h w"]) -> Corners:
         """The corners that an image in [0, 1] shows, refined to a fraction of a pixel."""
-        grey = (image.mean(0) * 255).round().to(torch.uint8).cpu().numpy()
+        grey = _grey(image)
         ids, rough = self._detected(grey)
         pixels, seen = torch.zeros(len(self.points), 2).double(), torch.zeros(len(self.points)).bool()
         if len(ids) > 1:
@@ -77,6 +77,13 @@ class Board(ABC):
             pixels[ids[good]] = torch.from_numpy(fine[good])
             seen[ids[good]] = True
         return Corners(pixels, seen)
+
+    def remedy(self, image: Float[Tensor, "3 h w"]) -> str:
+        """What to try if images such as this one do not show the board."""
+        return (
+            "for squares board= counts the corners between them, not the squares; leave a white border around "
+            "the board"
+        )
 
     def _sized(self, grey: Array) -> Iterator[tuple[Array, Callable[[Array], Array]]]:
         """The image and, if it is small, a larger one, with the function that takes pixels (*, 2) of it back."""
@@ -173,7 +180,7 @@ class Charuco(Board):
             raise ArgumentError(
                 f"dictionary: {dictionary} has {len(markers.bytesList)} markers, for {needed} white squares"
             )
-        self.square = square
+        self.square, self.dictionary, self.num_markers = square, dictionary, needed
         self.points = _grid(columns, rows) * square
         self.clear = (square - marker) / 2
         self.board = cv2.aruco.CharucoBoard((columns + 1, rows + 1), square, marker, markers)
@@ -188,6 +195,22 @@ class Charuco(Board):
             ):
                 corner_by_id.setdefault(int(place), back(corner.reshape(2)))
         return np.array(list(corner_by_id), int), np.array(list(corner_by_id.values())).reshape(-1, 2)
+
+    def remedy(self, image: Float[Tensor, "3 h w"]) -> str:
+        """The number of markers of the dictionary that an image shows, and the dictionary that it shows more of."""
+        grey = _grey(image)
+        counts = {}
+        for name in (self.dictionary, *DICTIONARIES):
+            markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}"))
+            ids = cv2.aruco.ArucoDetector(markers).detectMarkers(grey)[1]
+            counts[name] = 0 if ids is None else len(ids)
+        best = max(counts, key=lambda name: counts[name])  # the first of equals, which is the own one
+        seen = f"the last shows {counts[self.dictionary]} of {self.num_markers} markers of dictionary={self.dictionary}"
+        if best != self.dictionary:
+            return f"{seen}, and {counts[best]} of dictionary={best}"
+        return (
+            f"{seen}; if it shows the whole board, correct board=, which counts the corners between squares"
+        )
 
 
 class AprilGrid(Board):
@@ -250,6 +273,10 @@ class AprilGrid(Board):
             return -1, 0
         success, tag, turns = self._tags.identify(inner, 0.6)
         return (int(tag), int(turns)) if success else (-1, 0)
+
+
+def _grey(image: Float[Tensor, "3 h w"]) -> Array:
+    return (image.mean(0) * 255).round().to(torch.uint8).cpu().numpy()
 
 
 def _dark_quads(image: Array, window: int) -> Iterator[Array]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Configurations as typed values, and values compared with type hints by pydantic: a wrong one is told by its key."""
+"""Configurations as typed values: pydantic compares values with type hints, and errors name the key."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ __all__ = [
 
 T = TypeVar("T")
 
-WORDS = {
+TYPES = {
     "integer": "a whole number",
     "number": "a number",
     "string": "text",
@@ -43,19 +43,19 @@ WORDS = {
     "array": "a list",
     "object": "a table",
 }
-"""What types of JSON's schemas are called."""
+"""Types of JSON schemas in words."""
 
 
 def typed(kind: type[T], config: Mapping[str, Any], prefix: str = "") -> T:
-    """The values of a config as a dataclass of pydantic, or as a ``TypedDict``.
+    """Read a config into a pydantic dataclass or a ``TypedDict``.
 
-    What is nested takes its keys from the table of its name; a dataclass also from the table around it, where there is
-    no such name: ``start=3`` is what ``capture.start`` will be.
+    A nested dataclass takes its keys from the table of its name or, where there is none, from the table around it:
+    ``start=3`` becomes ``capture.start``.
 
     Args:
         kind: the dataclass or ``TypedDict``.
-        config: has its keys, and may have others.
-        prefix: of the keys, for messages.
+        config: its keys; further ones are ignored.
+        prefix: of the keys in messages.
 
     Raises:
         ArgumentError: a value does not fit its type; the message names the key.
@@ -73,7 +73,8 @@ def typed(kind: type[T], config: Mapping[str, Any], prefix: str = "") -> T:
     values = {}
     for field, hint in hints.items():
         name = key_of(field)
-        if _is_nested(hint) and name in config and isinstance(config[name], Mapping | DictConfig):
+        nested = dataclasses.is_dataclass(hint) or is_typeddict(hint)
+        if nested and name in config and isinstance(config[name], Mapping | DictConfig):
             values[field] = typed(hint, config[name], f"{prefix}{name}.")
         elif dataclasses.is_dataclass(hint):
             values[field] = typed(hint, config, prefix)  # type: ignore[arg-type]
@@ -87,12 +88,12 @@ def typed(kind: type[T], config: Mapping[str, Any], prefix: str = "") -> T:
         field = str(error.errors()[0]["loc"][0])
         key = f"{prefix}{key_of(field)}"
         if field not in values:
-            raise ArgumentError(f"{key}: a value is needed here, leave ~{key} out") from None
+            raise ArgumentError(f"{key} has no default; remove ~{key} or give a value") from None
         raise ArgumentError(f"{key}: expected {expected(hints[field])}, got {values[field]!r}") from None
 
 
 def key_of(field: str) -> str:
-    """The key of a field of a dataclass: ``with_`` is the key ``with``, which is a word of Python.
+    """Return the key of a field: ``with_`` is the key ``with``, which Python reserves.
 
     Examples:
         >>> key_of("with_"), key_of("image_size")
@@ -102,7 +103,7 @@ def key_of(field: str) -> str:
 
 
 def flat(config: Any) -> dict[str, Any]:
-    """Key -> value of a dataclass of keys; nested keys that ``typed`` took from the top level are there again."""
+    """Return key -> value of a dataclass of keys, the inverse of ``typed``: nested keys are at the top level."""
     values: dict[str, Any] = {}
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
@@ -111,7 +112,7 @@ def flat(config: Any) -> dict[str, Any]:
 
 
 def hints_of(kind: Any) -> dict[str, Any]:
-    """Key -> type hint of a dataclass or ``TypedDict``, as flat as ``flat`` has them."""
+    """Return key -> type hint of a dataclass or ``TypedDict``, flattened as by ``flat``."""
     hints: dict[str, Any] = {}
     for name, hint in get_type_hints(kind, include_extras=True).items():
         hints |= hints_of(hint) if dataclasses.is_dataclass(hint) else {key_of(name): hint}
@@ -119,49 +120,45 @@ def hints_of(kind: Any) -> dict[str, Any]:
 
 
 def marks_of(kind: Any) -> dict[str, OnlyWith]:
-    """Key -> what it counts only with, of the keys of a dataclass that are marked so."""
+    """Return key -> its ``OnlyWith`` mark, of the keys that have one."""
     marks: dict[str, OnlyWith] = {}
     for name, hint in hints_of(kind).items():
         for mark in getattr(hint, "__metadata__", ()):
             if isinstance(mark, OnlyWith):
-                marks |= dict.fromkeys([f"{name}.{part}" for part in mark.parts] or [name], mark)
+                marks |= dict.fromkeys([f"{name}.{key}" for key in mark.subkeys] or [name], mark)
     return marks
 
 
 def check_keys(kind: Any, config: DictConfig, words: Sequence[str]) -> None:
-    """Compare the keys of a command with their types, and those of its command line with what they count with.
+    """Check the values of a command against their types, and that each key of its command line has an effect.
 
     Raises:
-        ArgumentError: a value does not fit, or a key does not count; the message names it.
-        MissingMandatoryValue: a value is needed.
+        ArgumentError: a value does not fit, or a key has no effect; the message names it.
+        MissingMandatoryValue: a key has no value.
     """
     typed(kind, config)
     hints = hints_of(kind)
     for word in words:
         key = word.partition("=")[0]
         if key.startswith("+") and re.split(r"[.@/]", key.lstrip("+"))[0] not in {*hints, "hydra"}:
-            raise ArgumentError(f"{key}: there is no such key in this configuration, and none can be added")
+            raise ArgumentError(f"{key}: there is no such key, and none can be added")
     if wrong := unused_key(kind, config, [word.partition("=")[0] for word in words]):
         raise ArgumentError(wrong)
 
 
 def unused_key(kind: Any, config: DictConfig, overrides: Iterable[str]) -> str | None:
-    """What is wrong with the first key that is among ``overrides``, but that does not count; None if all do."""
+    """Describe the first key among ``overrides`` that has no effect; None if all have one."""
     for key, mark in marks_of(kind).items():
         needed, equal, values = mark.needed.partition("=")
         value = OmegaConf.select(config, needed)
         present = set(map(str, value)) if OmegaConf.is_list(value) else {str(value)}
         counts = bool(present & {*values.split("|")}) if equal else value is not None
-        if counts or (needed == "outputs" and value is None):  # null are the usual ones, clouds among them
+        if counts or (needed == "outputs" and value is None):  # null: the default outputs, clouds among them
             continue
         if unused := [name for name in overrides if f"{name}.".startswith(f"{key}.")]:
-            word = mark.word or (mark.needed if equal else f"{needed}=...").replace("|", f" or {needed}=")
-            return f"{unused[0]}: counts only with {word}; give that, too, or leave it out"
+            remedy = mark.remedy or (mark.needed if equal else f"{needed}=...").replace("|", f" or {needed}=")
+            return f"{unused[0]}: counts only with {remedy}; add that or leave it out"
     return None
-
-
-def _is_nested(hint: Any) -> bool:
-    return dataclasses.is_dataclass(hint) or is_typeddict(hint)
 
 
 def _bare(hint: Any) -> Any:
@@ -169,9 +166,9 @@ def _bare(hint: Any) -> Any:
 
 
 def fault(key: str, value: Any, hint: Any) -> str | None:
-    """What is wrong with a value of a key, in one sentence; None where it fits the type hint.
+    """Describe in one sentence how a value differs from its type hint; None where it fits.
 
-    Types are exact: no text for a number, no truth value for a whole number.
+    Types are exact: no text for a number, no boolean for an integer.
 
     Examples:
         >>> fault("level", 3, int), fault("level", "3", int)
@@ -179,20 +176,17 @@ def fault(key: str, value: Any, hint: Any) -> str | None:
     """
     try:
         adapter = _adapter(hint)
-    except PydanticUserError:  # a hint that says nothing of plain values
+    except PydanticUserError:  # a hint of other than plain values
         return None
-    try:
-        adapter.validate_python(value, strict=True)
-    except ValidationError:
-        try:  # where a tuple is expected, files have a list, as JSON does
-            adapter.validate_json(json.dumps(value), strict=True)
-        except (ValidationError, TypeError):
-            return f"{key}: expected {expected(hint)}, got {value!r}"
+    try:  # as JSON has it: a list where a tuple is expected
+        adapter.validate_json(json.dumps(value), strict=True)
+    except (ValidationError, TypeError):
+        return f"{key}: expected {expected(hint)}, got {value!r}"
     return None
 
 
 def expected(hint: Any) -> str:
-    """A type hint in words.
+    """Describe a type hint in words.
 
     Examples:
         >>> from sphericalvision.recipes.app.kinds import Count, Positive, Size
@@ -210,12 +204,12 @@ def expected(hint: Any) -> str:
 
 
 def check_node(config: Any, where: str, passed: Sequence[str] = ()) -> None:
-    """Compare the keys of a node that names a ``_target_`` with the target's parameters.
+    """Check the keys of a node that names a ``_target_`` against the target's parameters.
 
     Args:
         config: the node.
         where: its key, for messages.
-        passed: parameters that do not come from the node.
+        passed: parameters that the caller adds.
 
     Raises:
         ArgumentError: a key that the target does not take, or a value that does not fit its type hint.
@@ -245,11 +239,9 @@ def check_node(config: Any, where: str, passed: Sequence[str] = ()) -> None:
             name = str(config["_target_"]).rpartition(".")[2]
             raise ArgumentError(f"{where}.{key}: {name} has no such option; it has {', '.join(options)}")
         if isinstance(config, DictConfig) and OmegaConf.is_missing(config, key):
-            raise ArgumentError(
-                f"{where}.{key}: a value is needed here; give it on the command line as {where}.{key}=..."
-            )
+            raise ArgumentError(f"{where}.{key}: give a value on the command line, {where}.{key}=...")
         value = config[key]
-        check_node(value, _place(config, key) or f"{where}.{key}")
+        check_node(value, _source(config, key) or f"{where}.{key}")
         if OmegaConf.is_config(value):
             value = OmegaConf.to_container(value, resolve=True)
         if (
@@ -260,8 +252,8 @@ def check_node(config: Any, where: str, passed: Sequence[str] = ()) -> None:
             raise ArgumentError(wrong)
 
 
-def _place(config: Any, key: Any) -> str | None:
-    """The key that another one stands for: ``rig`` for ``rig: ${rig}``."""
+def _source(config: Any, key: Any) -> str | None:
+    """Return the key that a value is taken from: ``rig`` for ``rig: ${rig}``."""
     if not isinstance(config, DictConfig) or not OmegaConf.is_interpolation(config, key):
         return None
     node: Any = config._get_node(key)
@@ -277,25 +269,27 @@ def _adapter(hint: Any) -> TypeAdapter[Any]:
 
 
 def _in_words(schema: dict[str, Any]) -> str:
-    """A schema of JSON's, as far as type hints of keys make them."""
+    """Describe a JSON schema, of the types that keys have."""
     if "description" in schema:
         return str(schema["description"])
     if "anyOf" in schema:
         return " or ".join(dict.fromkeys(map(_in_words, schema["anyOf"])))
     if choices := schema.get("enum", [schema["const"]] if "const" in schema else None):
         return "one of " + ", ".join(map(str, choices))
-    least, most = schema.get("minItems", schema.get("minLength")), schema.get("maxItems")
+    min_items, max_items = schema.get("minItems", schema.get("minLength")), schema.get("maxItems")
     bounds = {
         "minimum": "of {} or more",
         "exclusiveMinimum": "above {}",
         "maximum": "up to {}",
     }
     limits = [text.format(schema[key]) for key, text in bounds.items() if key in schema]
-    words = WORDS.get(schema.get("type", ""), "a value")
+    text = TYPES.get(schema.get("type", ""), "a value")
     if limits:
-        words += " " + " and ".join(limits).replace(f"up to {sys.float_info.max}", "finite")
-    if least:
-        words += f" of {least}" if least == most else " (not empty)"
-    if items := schema.get("items") or schema.get("prefixItems", [None])[0]:  # of tuples all are alike
-        words += f", each {_in_words(items)}"
-    return words
+        text += " " + " and ".join(limits).replace(f"up to {sys.float_info.max}", "finite")
+    if min_items:
+        text += f" of {min_items}" if min_items == max_items else " (not empty)"
+    if (
+        items := schema.get("items") or schema.get("prefixItems", [None])[0]
+    ):  # all items of our tuples are alike
+        text += f", each {_in_words(items)}"
+    return text

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the commands share: configs made into objects, configs and tables printed, the device."""
+"""Helpers of all commands: objects from configs, printed configs and tables, the device."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from typing import Any
 
 import hydra
 import torch
+from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import OmegaConf
 from rich.console import Console
-from rich.syntax import Syntax
 from rich.table import Table
-from rich.tree import Tree
 
 from sphericalvision.core import ArgumentError, SphericalVisionError
 from sphericalvision.io.files import write_bytes
 from sphericalvision.recipes.app.checks import check_node, flat
+from sphericalvision.recipes.app.words import unquote_paths
 
 __all__ = [
     "build",
@@ -60,7 +60,7 @@ def build(config: Any, where: str = "", **kwargs: Any) -> Any:
 
 
 def _missing_package(where: str, error: ModuleNotFoundError) -> str:
-    """What to install: an extra of this package, if one has the name of the node."""
+    """Say what to install: an extra of this package, if one has the name of the node."""
     name = where.rpartition(".")[2]
     extras = metadata("sphericalvision").get_all("Provides-Extra") or []
     command = f"'sphericalvision[{name}]'" if name in extras else error.name or "the package it names"
@@ -68,24 +68,25 @@ def _missing_package(where: str, error: ModuleNotFoundError) -> str:
 
 
 def print_config(config: Any, folder: Path | None = None) -> None:
-    """Print the resolved config, or the keys of a dataclass, as a tree; keep it as ``config.yaml`` in ``folder``."""
-    node = OmegaConf.create(flat(config)) if is_dataclass(config) else config
-    resolved = OmegaConf.create(OmegaConf.to_container(node, resolve=True, throw_on_missing=False))
-    tree = Tree("config")
-    for key, value in resolved.items():
-        if isinstance(value, (DictConfig, ListConfig)):
-            tree.add(str(key)).add(
-                Syntax(OmegaConf.to_yaml(value).rstrip(), "yaml", background_color="default")
-            )
-        else:
-            tree.add(f"{key!s}: {value}", highlight=True)
-    console.print(tree)
+    """Print how a configuration differs from the defaults: the words of the command line.
+
+    Args:
+        config: the configuration, or a dataclass of keys.
+        folder: where the whole configuration is written, ``config.yaml``.
+    """
+    words = unquote_paths(list(HydraConfig.get().overrides.task)) if HydraConfig.initialized() else []
+    say("Configuration, as it differs from the defaults:" if words else "Configuration: the defaults")
+    for word in words:
+        say(f"  {word}")
     if folder is not None:
+        node = OmegaConf.create(flat(config)) if is_dataclass(config) else config
+        resolved = OmegaConf.create(OmegaConf.to_container(node, resolve=True, throw_on_missing=False))
         write_bytes(folder / "config.yaml", OmegaConf.to_yaml(resolved).encode())
+        say(f"All of it is in {folder / 'config.yaml'}")
 
 
 def say(text: str, style: str | None = None) -> None:
-    """Print a line as it is."""
+    """Print a line without highlighting or wrapping."""
     console.print(text, style=style, highlight=False, soft_wrap=True)
 
 
@@ -100,7 +101,7 @@ def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
 
 
 def choose_device(device: str) -> torch.device:
-    """The device of a ``device=`` value; ``auto`` is a GPU where there is one.
+    """Return the device of a ``device=`` value; ``auto`` is a GPU where there is one.
 
     Raises:
         ArgumentError: torch does not know the device, or this machine does not have it.

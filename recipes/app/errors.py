@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mistakes on the command line, told in one paragraph: what is wrong, and what to write instead."""
+"""Errors for users in one paragraph: what is wrong, and what to write instead."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from sphericalvision.recipes.app.help import keys_of
 __all__ = ["FAILURE", "override_message", "plain_errors", "refuse", "report_failure", "several_processes"]
 
 FAILURE = "failed.txt"
-"""In the folder of a run of a sweep: why it failed."""
+"""File in the folder of a sweep's run: the reason of its failure."""
 PLUGINS = {"hydra/sweeper": "optuna", "hydra/launcher": "launchers"}
-"""Groups of Hydra's own whose options are packages, and the extra that brings those of ours."""
+"""Group of Hydra whose options are packages -> our extra that installs them."""
 
 
 def refuse(message: str) -> NoReturn:
@@ -85,52 +85,49 @@ def report_failure(folder: Path) -> Iterator[None]:
 
 
 def override_message(error: Exception, command: str, words: Sequence[str]) -> str:
-    """What is wrong with ``words`` that do not fit the configuration of a command, as Hydra found it."""
+    """Describe an override among ``words`` that does not fit the configuration of a command, from Hydra's error."""
     text = " ".join(str(error).partition("See https://hydra.cc")[0].split())
+    program = "python -m sphericalvision.recipes.demo" if command == "demo" else f"sphericalvision-{command}"
     if isinstance(error, OverrideParseException):
         return f"{error.override}: expected KEY=VALUE, such as output=results ({text})"
     if isinstance(error, MissingConfigException) and error.missing_cfg_file:
         group, _, option = error.missing_cfg_file.rpartition("/")
-        extra = f" (a plugin? pip install 'sphericalvision[{PLUGINS[group]}]')" if group in PLUGINS else ""
+        hint = f" (a plugin? pip install 'sphericalvision[{PLUGINS[group]}]')" if group in PLUGINS else ""
         options = ", ".join(name for name in error.options or () if not name.startswith("_"))  # as in --help
         if group.partition("/")[0] == "rig":
-            extra = "; a calibration file is rig=file rig.path=..."
-        return f"{group}={option}: there is no such option{extra}; known are {options}"
-    program = "python -m sphericalvision.recipes.demo" if command == "demo" else f"sphericalvision-{command}"
-    if unknown := re.search(r"Could not override '([^'@]+)", text):
-        key = unknown[1]
-        groups = compose(command, return_hydra_config=True).hydra.runtime.choices
-        choices = [
-            word for word in words if word.partition("=")[0] in groups and word.partition("=")[0] != key
-        ]
-        known_keys = [name for name in _keys_with(command, choices) if "._" not in name]
-        group = key.partition(".")[0]
-        having = [
-            f"{group}={option}"
-            for option in (_options(group, command) if group in groups else ())
-            if key in _keys_with(f"{group}/{option}")  # alone: a whole command for each would take seconds
-        ]
-        if having or key in keys_of(compose(command)):  # of other options
-            others = f" (it is a key of {', '.join(having)})" if having else ""
-            return (
-                f"{key}: does not count with the options given; leave it out{others}. {program} --help lists those "
-                "that do"
-            )
-        near = difflib.get_close_matches(key, known_keys, 3) or [
-            name for name in known_keys if name.split(".")[-1] == key.split(".")[-1]
-        ]
-        if key == "rig" and "calibration" in known_keys:  # a group of the commands that render
-            near = ["calibration"]
-        siblings = [name for name in known_keys if name.startswith(f"{group}.")] if "." in key else []
-        hint = f"did you mean {' or '.join(near[:3])}? " if near else ""
-        if not near and siblings:
-            hint = f"{group} has {', '.join(name.partition('.')[2] for name in siblings)}. "
-        return f"{key}: there is no such key in this configuration; {hint}All keys: {program} --help"
+            hint = "; for a calibration file write rig=file rig.path=..."
+        return f"{group}={option}: there is no such option{hint}; known are {options}"
+    if match := re.search(r"Could not override '([^'@]+)", text):
+        return f"{match[1]}: {_unknown_key(match[1], command, words)} {program} --help lists all keys"
     return f"{text}; {program} --help lists groups with their options, and keys"
 
 
+def _unknown_key(key: str, command: str, words: Sequence[str]) -> str:
+    """Say of a key that is not in a configuration where it is, or which is meant."""
+    groups = compose(command, return_hydra_config=True).hydra.runtime.choices
+    choices = [word for word in words if word.partition("=")[0] in {*groups} - {key}]
+    group, dot, _ = key.partition(".")
+    owners = [  # options alone: to compose the command with each would take seconds
+        f"{group}={option}"
+        for option in (_options(group, command) if group in groups else ())
+        if key in _keys_with(f"{group}/{option}")
+    ]
+    if owners or key in keys_of(compose(command)):
+        return "does not count with the options given; leave it out" + (
+            f" (it is a key of {', '.join(owners)})." if owners else "."
+        )
+    keys = [known for known in _keys_with(command, choices) if "._" not in known]
+    similar = difflib.get_close_matches(key, keys, 3) or [
+        other for other in keys if other.rpartition(".")[2] == key.rpartition(".")[2]
+    ]
+    hint = f"did you mean {' or '.join(similar[:3])}?" if similar else ""
+    if not similar and dot and (siblings := [k[len(group) + 1 :] for k in keys if k.startswith(f"{group}.")]):
+        hint = f"{group} has {', '.join(siblings)}."
+    return f"there is no such key in this configuration; {hint}"
+
+
 def _keys_with(config_name: str, choices: Sequence[str] = ()) -> Sequence[str]:
-    """Keys of a command, or of an option alone, with these options of groups; none where they do not fit."""
+    """Return the keys of a command, or of an option alone, with options of groups; none where these do not fit."""
     try:
         return list(keys_of(compose(config_name, list(choices))))
     except HydraException:
@@ -138,35 +135,35 @@ def _keys_with(config_name: str, choices: Sequence[str] = ()) -> Sequence[str]:
 
 
 def _options(group: str, command: str) -> list[str]:
-    """Options of a group, without those that others only inherit from."""
+    """Return the options of a group, without those that others only inherit from."""
     options = GlobalHydra.instance().config_loader().get_group_options(group, ObjectType.CONFIG, command, [])
     return [option for option in options if not option.startswith("_")]
 
 
 def several_processes(config: DictConfig) -> str | None:
-    """What is wrong with a multi-run of trainings in several processes; None if each run is one process."""
+    """Describe why a multirun cannot start trainings of several processes; None if each run is one process."""
     trainer = config.get("trainer") or {}
     devices, nodes, strategy = (trainer.get(key) for key in ("devices", "num_nodes", "strategy"))
     for key, value, several in (
-        ("devices", devices, _number_of(devices) > 1),
+        ("devices", devices, _num_devices(devices) > 1),
         ("num_nodes", nodes, nodes not in (None, 1)),
         ("strategy", strategy, "ddp" in str(strategy)),
     ):
         if several:
             return (
-                f"trainer.{key}={value}: the processes of one training and the runs of --multirun do not mix; start a "
-                "command for each value, without --multirun"
+                f"trainer.{key}={value}: --multirun cannot start trainings of several processes; start a command for "
+                "each value, without --multirun"
             )
     return None
 
 
-def _number_of(devices: Any) -> int:
-    """How many devices Lightning takes of a number, or of numbers of GPUs in a list or a text."""
+def _num_devices(devices: Any) -> int:
+    """Return the number of devices, which Lightning takes as a number, or as indices in a list or a text."""
     return devices if isinstance(devices, int) else len(re.findall(r"\d+", str(devices)))
 
 
 def _message(error: BaseException) -> str | None:
-    """Message of the first error in the chain that is meant for users."""
+    """Return the message of the first error in the chain that is meant for users."""
     core, lightning = (
         sys.modules.get(name) for name in ("sphericalvision.core", "pytorch_lightning.utilities.exceptions")
     )
@@ -180,19 +177,19 @@ def _message(error: BaseException) -> str | None:
     if isinstance(error, OmegaConfBaseException):
         key = error.full_key or error.key
         if isinstance(error, MissingMandatoryValue):
-            return f"{key}: a value is needed here; give it on the command line as {key}=..."
+            return f"{key}: give a value on the command line, {key}=..."
         return f"{key}: {str(error).splitlines()[0]}"
     if isinstance(error, HydraException):
         return " ".join(str(error).split())
     if isinstance(error, OSError) and (error.strerror or "Original Traceback" in str(error)):
         where = f"{error.filename}: " if error.filename else ""
         reason = error.strerror or re.sub(r"^\[Errno \d+\] ", "", _without_traceback(str(error)))
-        return f"{where}{reason}; free the disk, or choose another place, output=... for results"
+        return f"{where}{reason}; free the disk, or choose another folder, output=... for results"
     return None
 
 
 def _without_traceback(text: str) -> str:
-    """The message alone of an error that came from a process of a data loader, which wraps it in a traceback."""
+    """Return the message of an error from a worker of a data loader, without the traceback around it."""
     if "Original Traceback" not in text:
         return text
     return re.split(r"\n[\w.]+(?:Error|Exception): ", text)[-1].strip()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kinds of values that configurations have, as type hints: of the commands' keys, and of what configurations name."""
+"""Types of the values in configurations, as hints: of the commands' keys, and of parameters of ``_target_``s."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STRICT = ConfigDict(strict=True)
-"""Of dataclasses of keys: types are exact, no text for a number, no truth value for a whole number."""
+"""For dataclasses of keys: types are exact, no text for a number, no boolean for an integer."""
 
 Count = Annotated[int, Ge(1)]
 Number = Annotated[int, Ge(0)]
@@ -53,14 +53,14 @@ Device = Annotated[str, Field(pattern=r"^(auto|(cpu|cuda|mps|xpu)(:\d+)?)$", des
 
 @dataclass(frozen=True)
 class OnlyWith:
-    """Mark of a key that counts only where another one has a value, as in ``Annotated[Count, OnlyWith("poses")]``.
+    """Mark of a key that has an effect only where another one has a value: ``Annotated[Count, OnlyWith("poses")]``.
 
     Attributes:
-        needed: the other key, or with ``=a|b`` the values of which it needs one; of a list, one that it holds.
-        word: what to give, for messages, where that is not ``needed``.
-        parts: keys below this one that the mark is for; not given, it is for all.
+        needed: the other key; with ``=a|b`` it must have one of these values, or hold one if it is a list.
+        remedy: what to add, for messages, where that is not ``needed``.
+        subkeys: keys below this one that the mark is for; all if not given.
     """
 
     needed: str
-    word: str = ""
-    parts: tuple[str, ...] = ()
+    remedy: str = ""
+    subkeys: tuple[str, ...] = ()

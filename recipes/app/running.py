@@ -16,7 +16,7 @@ from functools import cache, partial
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import hydra
 from hydra import initialize_config_module
@@ -45,25 +45,15 @@ from sphericalvision.recipes.app.help import print_help
 from sphericalvision.recipes.app.words import first_values, quote_paths, read_words
 from sphericalvision.threads import prepare_threads
 
+if TYPE_CHECKING:
+    from sphericalvision.recipes.app.command import Command
+
 __all__ = ["config_space", "run_command"]
 
 CONF = "sphericalvision.conf"
 
 
-class Task(Protocol):
-    """What is run: a ``Command``, which comes before this module, as it can say what is not installed."""
-
-    name: str
-
-    @property
-    def keys(self) -> Any:
-        """The types of its keys."""
-
-    def work(self, config: DictConfig) -> Any:
-        """Do the work."""
-
-
-def run_command(command: Task, words: list[str]) -> None:
+def run_command(command: Command, words: list[str]) -> None:
     """Do what the words of a command line say: show help or version, refuse what does not fit, or let it work."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
@@ -103,7 +93,7 @@ def run_command(command: Task, words: list[str]) -> None:
         _ = done.return_value  # raises what the work has raised
 
 
-def sweep(loader: ConfigLoader, command: Task, overrides: list[str], work: Callable[..., Any]) -> None:
+def sweep(loader: ConfigLoader, command: Command, overrides: list[str], work: Callable[..., Any]) -> None:
     """Run a command once for each value; exits with status 1 where runs have failed, after all have run."""
     words = [*overrides, "hydra.mode=MULTIRUN"]
     config = loader.load_configuration(command.name, words, RunMode.MULTIRUN)
@@ -136,7 +126,9 @@ class Callbacks:
             getattr(callback, event)(**arguments)
 
 
-def checked_config(loader: ConfigLoader, command: Task, overrides: list[str], multirun: bool) -> DictConfig:
+def checked_config(
+    loader: ConfigLoader, command: Command, overrides: list[str], multirun: bool
+) -> DictConfig:
     """The configuration of a command line, of a multi-run's first run; exits where it does not fit."""
     try:
         words = first_values(overrides) if multirun else overrides
@@ -192,7 +184,7 @@ def import_torch() -> None:
         atexit.register(gc.freeze)
 
 
-def do_work(command: Task, own_files: Path | None, config: DictConfig) -> Any:
+def do_work(command: Command, own_files: Path | None, config: DictConfig) -> Any:
     """Import the Python files next to the user's own configs, let the command work, and report mistakes plainly.
 
     A run of a sweep that fails leaves the reason in its folder, and the others go on.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The words of a command line, with values that Hydra cannot read by itself, and those of the next command."""
+"""Command lines: parsing, quoting of values that Hydra cannot read, and the command lines of next steps."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ INFO = ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")
 
 
 def read_words(words: list[str], fail: Callable[[str], NoReturn]) -> argparse.Namespace:
-    """Take a command line apart as Hydra does, with its overrides in ``overrides``.
+    """Parse a command line as Hydra does, with the overrides in ``overrides``.
 
     Args:
         words: of the command line.
-        fail: called with what is wrong about a flag.
+        fail: called with the error in a flag.
 
     Examples:
         >>> line = read_words(["-m", "seed=0,1", "--config-dir", "mine", "level=3"], exit)
@@ -61,14 +61,14 @@ def read_words(words: list[str], fail: Callable[[str], NoReturn]) -> argparse.Na
     if unknown:
         flags = [f"--{name.replace('_', '-')}" for name in vars(line)]
         similar = difflib.get_close_matches(unknown[0], flags, 2)
-        hint = f"did you mean {' or '.join(similar)}? " if similar else ""
-        fail(f"{unknown[0]}: unknown option; {hint}--help lists them")
+        hint = f" (did you mean {' or '.join(similar)}?)" if similar else ""
+        fail(f"unknown option {unknown[0]}{hint}; --help lists them")
     line.overrides = quote_paths(line.overrides)
     return line
 
 
 def first_values(overrides: list[str]) -> list[str]:
-    """A multi-run as its first run.
+    """Return the overrides of a multirun's first run.
 
     Examples:
         >>> first_values(["seed=3,4", "level=3"])
@@ -98,7 +98,7 @@ def quote_paths(words: list[str]) -> list[str]:
 
 
 def unquote_paths(words: list[str]) -> list[str]:
-    """Take off the quotes that ``quote_paths`` put on, for showing a command line.
+    """Remove the quotes of ``quote_paths``, to print a command line.
 
     Examples:
         >>> unquote_paths(quote_paths(["output={my}"]))
@@ -130,17 +130,17 @@ def _parser() -> OverridesParser:
 
 
 def resume_command(last: Path, max_steps: int | None = None) -> str:
-    """Command line that goes on with this run in the same folder, to ``max_steps`` if given."""
+    """Return the command line that resumes this run in its folder, up to ``max_steps`` if given."""
     replaced = ("resume=", "output=", *(["trainer.max_steps="] if max_steps else []))
     overrides = [word for word in HydraConfig.get().overrides.task if not word.startswith(replaced)]
     longer = [f"trainer.max_steps={max_steps}"] if max_steps else []
-    alone = (
+    single = (
         ["hydra.mode=RUN"] if HydraConfig.get().mode == RunMode.MULTIRUN else []
     )  # a file of hparams sweeps
     words = [
         *own_configs(),
         *unquote_paths(overrides),
-        *alone,
+        *single,
         *longer,
         f"output={last.parent.parent}",
         f"resume={last}",
@@ -149,7 +149,7 @@ def resume_command(last: Path, max_steps: int | None = None) -> str:
 
 
 def _without_spaces(value: Any) -> str:
-    """A number, a list or nothing as Hydra reads it; texts in a list are quoted.
+    """Write a number, a list or None as Hydra reads it; texts in a list are quoted.
 
     Examples:
         >>> _without_spaces(["a b", 3, None]), _without_spaces(None)
@@ -163,13 +163,13 @@ def _without_spaces(value: Any) -> str:
 
 
 def own_configs() -> list[str]:
-    """The flag ``--config-dir`` of this run, if it has one."""
+    """Return the flag ``--config-dir`` of this run, if it has one."""
     sources = HydraConfig.get().runtime.config_sources
     return [word for s in sources if s.provider == "command-line" for word in ("--config-dir", s.path)]
 
 
 def evaluate_command(best: Path, config: DictConfig, of_training: Sequence[str]) -> str:
-    """Command line that evaluates the best checkpoint on the test split of the same data, without keys of training."""
+    """Return the command line that evaluates the best checkpoint on the test split of the same data."""
     choices = HydraConfig.get().runtime.choices
     groups = [f"data={choices['data']}"] + ([f"rig={choices['rig']}"] if "rig" in config.data else [])
     usual = compose("evaluate", groups)

@@ -50,7 +50,7 @@ class EvaluateKeys(TypedDict, total=False):
     """Keys of ``conf/evaluate.yaml``; those that are ``Any`` are compared with what their parts take."""
 
     rig: Annotated[Any, OnlyWith("data.rig", "data=scenes")]
-    data: Annotated[Any, OnlyWith("data.mesh", parts=("mesh_up", "mesh_scale"))]
+    data: Annotated[Any, OnlyWith("data.mesh", subkeys=("mesh_up", "mesh_scale"))]
     photometric: bool
     align: bool
     output: Text

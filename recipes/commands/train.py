@@ -82,7 +82,7 @@ class TrainKeys(TypedDict, total=False):
     task: Any
     model: Any
     rig: Annotated[Any, OnlyWith("data.rig", "data=scenes")]
-    data: Annotated[Any, OnlyWith("data.mesh", parts=("mesh_up", "mesh_scale"))]
+    data: Annotated[Any, OnlyWith("data.mesh", subkeys=("mesh_up", "mesh_scale"))]
     loss: Any
     optimizer: Any
     scheduler: Any

@@ -9,10 +9,9 @@ from pathlib import Path
 
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from omegaconf import OmegaConf
 
 from sphericalvision.recipes import predict
-from sphericalvision.recipes.app.cli import print_config, print_table
+from sphericalvision.recipes.app.cli import print_table, say
 from sphericalvision.recipes.app.words import quote_paths, unquote_paths
 from tests.recipes.tiny import TINY_SCENES, Run
 
@@ -38,8 +37,8 @@ def test_file_names_reach_the_config_unchanged(path: str) -> None:
 
 @pytest.mark.parametrize("path", ["runs/[night]/x.png", "runs [/old]/x.png"])
 def test_file_names_are_printed_unchanged(path: str, capsys: pytest.CaptureFixture[str]) -> None:
-    print_config(OmegaConf.create({"images": path}))
-    assert f"images: {path}\n" in capsys.readouterr().out
+    say(f"  images={path}")
+    assert f"  images={path}\n" in capsys.readouterr().out
     print_table("pictures", ["picture"], [[path]])
     assert f" {path} " in capsys.readouterr().out
 

@@ -83,7 +83,7 @@ FAULTS = (
     ("train", "logger=mlfow", "known are"),
     ("train", "debug=overfitt", "known are"),
     ("train", "trainer=null", "group"),
-    ("train", "-m trainer.devices=2 seed=0,1", "trainer.devices=2: the processes of one training"),
+    ("train", "-m trainer.devices=2 seed=0,1", "trainer.devices=2: --multirun cannot"),
     ("train", "-m trainer.strategy=ddp seed=0,1", "without --multirun"),
     ("predict", "", "calibration=..."),
     ("predict", RIG, "images=..."),
@@ -91,7 +91,7 @@ FAULTS = (
     ("evaluate", "chekpoint=x", "did you mean checkpoint"),
     ("evaluate", "checkpoint=icosweepnet-smal", "or one of icosweepnet-small"),
     ("render", "num_frame=3", "did you mean num_frames"),
-    ("render", "output=x ~height", "height: "),
+    ("render", "output=x ~height", "height has no default"),
     (
         "predict",
         f"{X} output={RIG.partition('=')[2]}",

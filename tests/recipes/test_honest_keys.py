@@ -166,7 +166,7 @@ def test_keys_that_do_not_count_are_refused(name: str, key: str, mark: OnlyWith)
     config = composed(name, *words)
     message = unused_key(keys_of(name), config, [key])
     assert message is not None
-    assert message.startswith(f"{key}: counts only with {(mark.word or mark.needed).partition('|')[0]}")
+    assert message.startswith(f"{key}: counts only with {(mark.remedy or mark.needed).partition('|')[0]}")
     other, _, values = mark.needed.partition("=")
     value: Any = values.partition("|")[0] or "given"
     OmegaConf.update(config, other, [value] if other == "outputs" else value, force_add=True)

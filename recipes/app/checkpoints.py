@@ -15,7 +15,7 @@ from sphericalvision.models.weights.checkpoints import read_network
 
 __all__ = ["initialize", "load_network", "read_checkpoint", "refuse_others"]
 
-Found = TypeVar("Found")
+Content = TypeVar("Content")
 
 
 def load_network(
@@ -31,7 +31,7 @@ def load_network(
         checkpoint: ``.safetensors``, a Lightning ``.ckpt``, or ``.pth`` in the authors' format, or the
             name of a network that ships with the package; ``refinedsweepnet`` when not given.
         level: of the images on the icosphere, instead of the level trained at, where the network has one.
-        min_depth: nearest hypothesis in metres, instead of the one trained with.
+        min_depth: nearest hypothesis in metres, instead of that of the training.
 
     Raises:
         ArgumentError: a level for a network that has no such choice.
@@ -59,39 +59,39 @@ def initialize(net: DepthNetwork, weights: str | Path) -> None:
 
 
 def refuse_others(
-    weights: str | Path, theirs: Mapping[str, Any], mine: Mapping[str, Any], free: Sequence[str] = ()
+    weights: str | Path, stored: Mapping[str, Any], current: Mapping[str, Any], free: Sequence[str] = ()
 ) -> None:
-    """Refuse weights of other hyper-parameters, but for those that are ``free``.
+    """Refuse weights of other hyper-parameters, except for those that are ``free``.
 
     Raises:
-        ArgumentError: those that differ, of both.
+        ArgumentError: hyper-parameters differ; the message has the values of both.
     """
-    differ = [key for key in mine if mine[key] != theirs.get(key) and key not in free]
+    differing = [key for key in current if current[key] != stored.get(key) and key not in free]
     # None is a network's own choice, which may be the same: it is named where nothing else differs.
-    if differ := [key for key in differ if mine[key] is not None] or differ:
+    if differing := [key for key in differing if current[key] is not None] or differing:
         raise ArgumentError(
             f"init_weights: {weights} has "
-            + ", ".join(f"{key} = {theirs.get(key)}" for key in differ)
-            + f", the network to train has {', '.join(str(mine[key]) for key in differ)}; set "
-            + " ".join(f"model.{key}={theirs.get(key)}" for key in differ)
+            + ", ".join(f"{key} = {stored.get(key)}" for key in differing)
+            + f", the network to train has {', '.join(str(current[key]) for key in differing)}; set "
+            + " ".join(f"model.{key}={stored.get(key)}" for key in differing)
             + " or take other weights"
         )
 
 
-def read_checkpoint(key: str, path: Path, what: str, take: Callable[[dict[str, Any]], Found]) -> Found:
-    """What ``take`` finds in a checkpoint of Lightning's.
+def read_checkpoint(key: str, path: Path, what: str, extract: Callable[[dict[str, Any]], Content]) -> Content:
+    """Return what ``extract`` returns of the content of a Lightning checkpoint.
 
     Args:
-        key: that names the file.
-        path: of the file.
-        what: it should be, for the error.
-        take: of the content; whatever it raises means that the file is another.
+        key: the key that names the file.
+        path: the file.
+        what: a name of the expected content, for the error.
+        extract: takes the content; whatever it raises means that the file holds something else.
 
     Raises:
         FileFormatError: the file is another, or damaged.
     """
     try:
-        return take(torch.load(path, map_location="cpu", weights_only=True))
+        return extract(torch.load(path, map_location="cpu", weights_only=True))
     except FileFormatError:
         raise
     except Exception as error:  # whatever a damaged file makes of itself

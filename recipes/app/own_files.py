@@ -21,13 +21,13 @@ def import_own_files(folder: str | Path) -> None:
     Raises:
         ArgumentError: a file has the name of an installed module, or cannot be imported.
     """
-    place = Path(folder).absolute()
-    files = sorted(path for path in place.glob("*.py") if path.stem != "__init__")
+    folder = Path(folder).absolute()
+    files = sorted(path for path in folder.glob("*.py") if path.stem != "__init__")
     if not files:
         return
-    if str(place) not in sys.path:
-        sys.path.append(str(place))
-        os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [os.environ.get("PYTHONPATH"), str(place)]))
+    if str(folder) not in sys.path:
+        sys.path.append(str(folder))
+        os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [os.environ.get("PYTHONPATH"), str(folder)]))
     importlib.invalidate_caches()
     for path in files:
         try:

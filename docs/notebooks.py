@@ -48,9 +48,9 @@ def notebook(page: Path) -> Any:
         r"\[([^\]\n]*(?:\n[^\]\n]*)?)\]\((?!https?:)[^)\s]*\)", r"\1", text
     )
     text = text.replace("from shown import source\n", SOURCE)
-    # The viewer is a file, which a notebook has written, too, and its folder is the reader's.
+    # The viewer is a file, which a notebook has written, too.
     text = re.sub(
-        r"^.*\b(embedded|in_folder)\b.*# markdown-exec: hide.*\n",
+        r"^.*\bembedded\b.*# markdown-exec: hide.*\n",
         "",
         text,
         flags=re.M,

@@ -48,12 +48,9 @@ def on_config(config: object) -> None:
     sys.path.append(str(Path(__file__).parent))
 
 
-HERE = Path.cwd()
-
-
-def in_folder(make: bool) -> None:
-    """Go to an empty folder, where a page writes its files, or back."""
-    os.chdir(tempfile.mkdtemp() if make else HERE)
+def on_pre_build(config: object) -> None:
+    """Pages write their pictures and files into an empty folder."""
+    os.chdir(tempfile.mkdtemp())
 
 
 def source(path: str, language: str = "yaml") -> str:

@@ -141,7 +141,7 @@ function cloud() {
   controls.minDistance = 0.005 * data.radius;
   controls.maxDistance = 8 * data.reach;
   controls.addEventListener("change", draw);
-  let inside = false;
+  let inside = true;  // before the first change, which shows the points from outside
   const where = document.getElementById("where"), cut = document.getElementById("cut");
   const go = () => {
     inside = !inside;

@@ -142,7 +142,7 @@ def test_both_views_show_something_and_turn_when_dragged(opened: tuple[Any, list
     assert complaints == []
 
 
-def test_points_are_seen_from_inside_first_and_the_ceiling_is_cut_on_request(
+def test_points_are_seen_from_outside_first_and_the_ceiling_is_cut_on_request(
     opened: tuple[Any, list[str]],
 ) -> None:
     tab, complaints = opened

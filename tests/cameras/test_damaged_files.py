@@ -92,7 +92,7 @@ CONTENTS: dict[str, Callable[[], dict[str, Any]]] = {
     "kannala.yaml": camodocal_kannala_brandt,
     "scaramuzza.yaml": camodocal_scaramuzza,
     "stella.yaml": stella_vslam,
-    "nested.yaml": lambda: stella_vslam("perspective", nested=True),
+    "nested.yaml": lambda: stella_vslam(nested=True),
     "FV.json": woodscape,
     "sensor.yaml": asl,
     "device.json": aria,

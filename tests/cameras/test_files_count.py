@@ -20,6 +20,7 @@ from sphericalvision.cameras import (
     read_trajectory,
     save_rig,
 )
+from sphericalvision.cameras.calibration.keys import with_keys
 from sphericalvision.cameras.robot_frame import read_pose
 from sphericalvision.core import ArgumentError, FileFormatError
 from tests.cameras.calibration_samples import aria, dump, transforms
@@ -184,3 +185,13 @@ def test_a_frame_is_one_pose(tmp_path: Path, text: str) -> None:
     (tmp_path / "base.txt").write_text(text)
     with pytest.raises((FileFormatError, ArgumentError)):
         read_pose(tmp_path / "base.txt", "frame")
+
+
+def test_keys_of_a_frame_count_before_those_of_the_file() -> None:
+    content = with_keys({"fl_x": 1.0, "w": 64, "frame": {"fl_x": 2.0}}, "file")
+    merged = content.inner("frame").over(content)
+    assert (merged["fl_x"], merged["w"]) == (2.0, 64)
+    assert "w" in merged
+    assert "h" not in merged
+    assert "w" in content.read
+    assert "fl_x" not in content.read

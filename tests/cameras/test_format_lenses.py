@@ -69,7 +69,7 @@ def matrix(fx: float, fy: float, cx: float, cy: float) -> list[list[float]]:
 
 def of_kalibr(kind: str) -> Lens:
     *first, fx, fy, cx, cy = KALIBR[kind]["intrinsics"]
-    distortion = KALIBR[kind].get("distortion_coeffs", [0.0] * 4)
+    distortion = KALIBR[kind]["distortion_coeffs"] or [0.0] * 4
     plane, whole = (fx, fy, cx, cy), matrix(fx, fy, cx, cy)
     more: dict[str, tuple[str, float, Callable[..., Any], tuple[Any, ...]]] = {
         "pinhole none": ("pinhole", 60, opencv_plain, (whole, distortion)),
@@ -132,7 +132,7 @@ LENSES = {
     "camodocal kannala-brandt": Lens("cam0.yaml", camodocal_kannala_brandt(), *EQUIDISTANT),
     "stella_vslam fisheye": Lens("config.yaml", stella_vslam(), *EQUIDISTANT),
     "stella_vslam perspective": Lens(
-        "config.yaml", stella_vslam("perspective", nested=True), "brown_conrady", 25, opencv_plain,
+        "config.yaml", stella_vslam(nested=True), "brown_conrady", 25, opencv_plain,
         (FISHEYE, [-0.28, 0.07, 2e-4, 2e-5, 0.01]),
     ),
     **{

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, FisheyeCamera
 from sphericalvision.capture import calibrate_rig
-from sphericalvision.capture.calibrating.calibrate import _poses
+from sphericalvision.capture.calibrating.calibrate import _half_turn, _poses, _turned
 from sphericalvision.capture.calibrating.refine import FEWEST, _Bundle, refine_rig
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import angle_from_axis, transform_from_axis_angle, transform_points
@@ -153,3 +153,18 @@ def test_masks_stay_and_the_camera_that_sees_most_says_where_the_object_stood() 
     torch.testing.assert_close(
         _Bundle(rig, board, pixels, seen, [[], []]).world_from_points, right, atol=1e-4, rtol=0
     )
+
+
+@pytest.mark.parametrize(("ratio", "is_turned"), [(0.1, True), (0.5, False)])
+def test_a_view_counts_as_turned_only_where_poses_agree_far_better_then(
+    ratio: float, is_turned: bool
+) -> None:
+    """The second camera's object is half a turn away, and off along the axis by a ratio of that."""
+    half_turn = _half_turn(grid_of(8, 6))
+    assert half_turn is not None
+    eye = torch.eye(4, dtype=torch.float64)
+    back = half_turn.inverse()
+    back[2, 3] += ratio / math.sqrt(1 - ratio**2) * (back - eye).norm()
+    alone = {"cam0": (LENS, {0: eye}), "cam1": (LENS, {0: back})}
+    turned = _turned(torch.stack((eye, eye)), alone, half_turn)
+    assert turned == ([(0, 1)] if is_turned else [])

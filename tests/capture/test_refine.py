@@ -9,9 +9,18 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.cameras import Camera, CameraRig, EquirectangularCamera, KannalaBrandtCamera, ring_rig
+from sphericalvision.cameras import (
+    Camera,
+    CameraRig,
+    EquirectangularCamera,
+    KannalaBrandtCamera,
+    OCamCamera,
+    ring_rig,
+)
+from sphericalvision.cameras.models.ocam_polynomials import fit_inverse_polynomial
 from sphericalvision.capture import calibrate_camera, refine, refine_rig
 from sphericalvision.capture.calibrating.board_pose import pose_from_directions
+from sphericalvision.capture.calibrating.refine import _finished
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry import angle_from_axis, transform_from_axis_angle, transform_points
 from tests.laws.camera_laws import arguments_of
@@ -179,3 +188,16 @@ def test_mistakes_are_named() -> None:
         refine(EquirectangularCamera((100, 200)), BOARD, pixels, seen)
     with pytest.raises(ArgumentError, match="no camera of this rig has omega"):
         refine_rig(ring_rig(2), BOARD, pixels[:, None].expand(-1, 2, -1, -1), intrinsics=("omega",))
+
+
+def test_two_refinements_keep_the_degree_of_the_inverse_polynomial() -> None:
+    case = next(case for case in CAMERAS if case.name == "ocam")
+    camera = case.make(1.0).to(torch.float64)
+    assert isinstance(camera, OCamCamera)
+    if camera.inverse_polynomial is None:
+        camera = fit_inverse_polynomial(camera, 7).camera
+    again = _finished(_finished(camera.exact(), camera).exact(), camera)
+    assert isinstance(again, OCamCamera)
+    assert again.inverse_polynomial is not None
+    assert camera.inverse_polynomial is not None
+    assert len(again.inverse_polynomial) == len(camera.inverse_polynomial)

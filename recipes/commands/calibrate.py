@@ -206,8 +206,8 @@ def _moments(files: Mapping[str, Mapping[str, Path]], views: list[str], num_fram
         labels = {name: str(path) for name, path in cameras.items()}
         if views:
             picture = images[LONE].movedim(0, -1)
-            parts = split_views(picture, rig_of_views(views, picture.shape[:2]))
-            images = {name: view.movedim(-1, 0) for name, view in parts.items()}
+            cropped = split_views(picture, rig_of_views(views, picture.shape[:2]))
+            images = {name: view.movedim(-1, 0) for name, view in cropped.items()}
             labels = {name: f"{labels[LONE]} ({name})" for name in views}
         yield Moment(labels, images)
 
@@ -352,13 +352,13 @@ def _poses(rig: CameraRig, used: Tensor) -> Iterator[str]:
         angle = math.degrees(
             torch.atan2(torch.linalg.cross(axes[0], axes[place]).norm(), axes[0] @ axes[place])
         )
-        away = float((rig.positions[place] - rig.positions[0]).norm())
+        distance = float((rig.positions[place] - rig.positions[0]).norm())
         ties = [
             f"{int((boards[:, place] & boards[:, other]).sum())} with {rig.names[other]}"
             for other in range(len(rig))
             if other != place and bool((boards[:, place] & boards[:, other]).any())
         ]
         yield (
-            f"{name}: axis {angle:.2f}° from {rig.names[0]}'s, {away:.4f} m away; boards seen by both: "
+            f"{name}: axis {angle:.2f}° from {rig.names[0]}'s, {distance:.4f} m away; boards seen by both: "
             f"{', '.join(ties)}"
         )

@@ -64,13 +64,13 @@ def convert(config: ConvertConfig) -> dict[str, Conversion]:
         return {}
     together = isinstance(calibration, CameraRig) and config.camera is None
     if config.to not in (None, "ocam"):
-        turns = {name: straighten(camera).angle for name, camera in cameras.items()}
+        angles = {name: straighten(camera).angle for name, camera in cameras.items()}
         if isinstance(calibration, CameraRig) and together:
             calibration = straighten_rig(calibration)
             cameras = calibration.cameras
-            _tell_turns(turns, "is a turn of its pose now")
+            _tell_turns(angles, "is a turn of its pose now")
         else:
-            _tell_turns(turns, "no other model has, and without a pose nothing else can take it up")
+            _tell_turns(angles, "no other model has, and without a pose nothing else can take it up")
     if config.format is not None:
         check_choice("format", config.format, RIG_FORMATS if together else CAMERA_FORMATS)
     converted = {name: _converted(name, camera, config) for name, camera in cameras.items()}
@@ -134,10 +134,11 @@ def _compare(
 def _compare_poses(rig: CameraRig, other: CameraRig) -> None:
     """Print by how much cameras stand and look elsewhere, as seen from the first one."""
     seen = [invert_transform(one.world_from_camera[0]) @ one.world_from_camera for one in (rig, other)]
-    turns = axis_angle_from_transform(invert_transform(seen[0]) @ seen[1])[0].norm(dim=-1).rad2deg()
+    angles = axis_angle_from_transform(invert_transform(seen[0]) @ seen[1])[0].norm(dim=-1).rad2deg()
     moved = (seen[0][:, :3, 3] - seen[1][:, :3, 3]).norm(dim=-1) * 1000
     rows = [
-        [n, f"{a:.3f}", f"{m:.2f}"] for n, a, m in zip(rig.names, turns.tolist(), moved.tolist(), strict=True)
+        [n, f"{a:.3f}", f"{m:.2f}"]
+        for n, a, m in zip(rig.names, angles.tolist(), moved.tolist(), strict=True)
     ]
     print_table(f"Poses as seen from {rig.names[0]}", ["camera", "turned (°)", "moved (mm)"], rows)
 

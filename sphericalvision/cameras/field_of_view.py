@@ -67,9 +67,9 @@ def visible_angle(camera: Camera, azimuth: Float[Tensor, "*azimuths"]) -> Float[
     low = steps[last.clamp_min(0)]
     high = steps[(last + 1).clamp_max(_STEPS - 1)]
     for _ in range(48):
-        middle = (low + high) / 2
-        sees = camera.project(directions_around_axis(middle, azimuth)).valid
-        low, high = torch.where(sees, middle, low), torch.where(sees, high, middle)
+        center = (low + high) / 2
+        sees = camera.project(directions_around_axis(center, azimuth)).valid
+        low, high = torch.where(sees, center, low), torch.where(sees, high, center)
     return torch.where(last < 0, 0.0, torch.where(last == _STEPS - 1, limit, low))
 
 

@@ -85,10 +85,10 @@ class FittedModel:
 
     def intrinsics(self, vector: Float[Tensor, "*batch p"]) -> dict[str, Tensor]:
         """The parts by name of one vector or of many, (*, p)."""
-        parts = vector.split([size or 1 for size in self.sizes.values()], dim=-1)
+        vectors = vector.split([size or 1 for size in self.sizes.values()], dim=-1)
         return {
             name: part[..., 0] if size is None else part
-            for (name, size), part in zip(self.sizes.items(), parts, strict=True)
+            for (name, size), part in zip(self.sizes.items(), vectors, strict=True)
         }
 
     def vector(self, intrinsics: dict[str, Tensor]) -> Float[Tensor, " p"]:
@@ -173,10 +173,10 @@ class FitChoices:
         """The model of a number of coefficients and a projection, which most models do not heed."""
         sizes: dict[str, int | None] = {}
         missing: dict[str, None] = {}
-        words: dict[str, str] = {}
+        options: dict[str, str] = {}
         for name, declared in self.camera_class.declared.items():
             if isinstance(declared, Choice):
-                words[name] = projection or declared.default
+                options[name] = projection or declared.default
             elif (
                 isinstance(declared, Intrinsic) and name not in self.left_out and declared.default is not None
             ):
@@ -189,12 +189,12 @@ class FitChoices:
                     missing[name] = None
         return FittedModel(
             self.camera_class,
-            self.project or partial(self.camera_class.functions[0], **words),
+            self.project or partial(self.camera_class.functions[0], **options),
             sizes,
             self.starts,
             self.bounds,
             self.reach(projection) if callable(self.reach) else self.reach,
-            constants=missing | words,
+            constants=missing | options,
             complete=self.complete,
         )
 

@@ -26,8 +26,8 @@ def is_usable(
     camera: Camera, mask: Bool[Tensor, "*masks h w"], pixels: Float[Tensor, "*batch P 2"]
 ) -> Bool[Tensor, "*batch P"]:
     """Whether interpolation at pixels (*b, P, 2) takes usable pixels of the mask (*b, h, w) only, (*b, P)."""
-    share = camera.interpolate(mask.to(pixels).unsqueeze(-3), pixels).squeeze(-2)
-    return share > 0.999  # one, but for rounding
+    weight = camera.interpolate(mask.to(pixels).unsqueeze(-3), pixels).squeeze(-2)
+    return weight > 0.999  # one, but for rounding
 
 
 def resized_mask(

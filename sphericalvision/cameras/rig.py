@@ -188,8 +188,8 @@ class CameraRig:
             device, dtype = None, device
         cameras = {name: camera.to(device, dtype) for name, camera in self.cameras.items()}
         masks = {name: mask.to(device) for name, mask in self.masks.items()}
-        near = self._from_near_by() if dtype == torch.float32 else self
-        return self._of(cameras, near.world_from_camera.to(device, dtype), masks, near.origin.to(device))
+        local = self._from_near_by() if dtype == torch.float32 else self
+        return self._of(cameras, local.world_from_camera.to(device, dtype), masks, local.origin.to(device))
 
     def _from_near_by(self) -> CameraRig:
         """The rig with poses as seen from a place near the cameras, whole metres, if they are far from the origin."""
@@ -198,10 +198,10 @@ class CameraRig:
             return self
         if not positions.numel() or float(positions.abs().max()) <= FAR:
             return self
-        place = positions.mean(-2).round()
+        center = positions.mean(-2).round()
         poses = self.world_from_camera.clone()
-        poses[..., :3, 3] -= place[..., None, :]
-        return self.replaced(world_from_camera=poses, origin=self.origin + place)
+        poses[..., :3, 3] -= center[..., None, :]
+        return self.replaced(world_from_camera=poses, origin=self.origin + center)
 
     def in_world(self) -> CameraRig:
         """The rig with poses in the world of its file, float64 if these are not what they are here.
@@ -318,9 +318,11 @@ class CameraRig:
         poses, origin = poses @ down, self.origin
         if rotation is not None:
             check_rotation("rotation", rotation)
-            turn = torch.eye(4, dtype=poses.dtype, device=poses.device).repeat(*rotation.shape[:-2], 1, 1)
-            turn[..., :3, :3] = rotation.to(poses)
-            poses = turn[..., None, :, :] @ poses
+            transform = torch.eye(4, dtype=poses.dtype, device=poses.device).repeat(
+                *rotation.shape[:-2], 1, 1
+            )
+            transform[..., :3, :3] = rotation.to(poses)
+            poses = transform[..., None, :, :] @ poses
             origin = (rotation.to(origin) @ origin[..., None]).squeeze(-1)
         return self.replaced(world_from_camera=poses, origin=origin)
 
@@ -344,12 +346,12 @@ class CameraRig:
             raise ArgumentError(
                 f"image_size: expected names among {', '.join(self.names)}, got {unknown[0]!r}"
             )
-        places = {name: (id(self.cameras[name]), checked_size(size)) for name, size in sizes.items()}
+        sized = {name: (id(self.cameras[name]), checked_size(size)) for name, size in sizes.items()}
         resized = {  # one camera that stands in several places stays one
             place: self.cameras[name].resized(place[1])
-            for place, name in {place: name for name, place in places.items()}.items()
+            for place, name in {place: name for name, place in sized.items()}.items()
         }
-        cameras = {n: resized[places[n]] if n in places else c for n, c in self.cameras.items()}
+        cameras = {n: resized[sized[n]] if n in sized else c for n, c in self.cameras.items()}
         masks = {name: resized_mask(mask, cameras[name].image_size) for name, mask in self.masks.items()}
         return self.replaced(cameras, masks=masks)
 
@@ -435,14 +437,14 @@ class CameraRig:
                 f"directions: expected (V, 3), got {tuple(directions.shape)}; flatten the grid first"
             )
         directions = at_least_float32("directions", directions)
-        near = inverse_depths.to(directions)
-        near = near[:, None] if near.ndim == 1 else near
-        if near.ndim < 2 or near.shape[-1] not in (1, len(directions)):
+        values = inverse_depths.to(directions)
+        values = values[:, None] if values.ndim == 1 else values
+        if values.ndim < 2 or values.shape[-1] not in (1, len(directions)):
             raise ShapeError(
                 f"inverse_depths: expected (N,) or (*b, N, {len(directions)}), got {tuple(inverse_depths.shape)}"
             )
         offsets = (self.center.unsqueeze(-2) - self.positions).to(directions)
-        rays = [directions + near.unsqueeze(-1) * offsets[..., i, None, None, :] for i in range(len(self))]
+        rays = [directions + values.unsqueeze(-1) * offsets[..., i, None, None, :] for i in range(len(self))]
         pixels, valid = self._project_rays([ray.flatten(-3, -2) for ray in rays])
         shape = rays[0].shape[-3:-1]
         return Projection(pixels.unflatten(-2, shape), valid.unflatten(-1, shape))

@@ -64,8 +64,8 @@ def sphere_lookups(
         shrink = _shrinking(camera, directions) if antialias else 1
         small = (-(-camera.image_size[0] // shrink), -(-camera.image_size[1] // shrink))
         positions = ((pixels + 0.5) / shrink - 0.5).unsqueeze(-2)
-        places = image_lookup(positions, seen.unsqueeze(-1), small, edges=image_edges(camera))
-        lookups.append(SphereLookup(camera.image_size, seen, shrink, places))
+        lookup = image_lookup(positions, seen.unsqueeze(-1), small, edges=image_edges(camera))
+        lookups.append(SphereLookup(camera.image_size, seen, shrink, lookup))
     return lookups
 
 

@@ -128,12 +128,12 @@ class Trajectory:
         poses = self.world_from_camera[list(numbers), None] @ camera.in_world().world_from_camera.to(
             self.world_from_camera
         )
-        middle = numbers[len(numbers) // 2]
+        center = numbers[len(numbers) // 2]
         return CameraRig(
             {view: camera.cameras[name] for view, name in views.items()},
             poses.flatten(0, 1),
             {view: camera.masks[name] for view, name in views.items() if name in camera.masks},
-            [called(name, middle) for name in camera.around or camera.names] if len(camera) > 1 else None,
+            [called(name, center) for name in camera.around or camera.names] if len(camera) > 1 else None,
         ).to(dtype=torch.get_default_dtype())
 
     @full_precision
@@ -150,8 +150,8 @@ class Trajectory:
             >>> Trajectory(["0"], pose).turned("z").positions  # 3 m high, now -y
             tensor([[ 1., -3.,  2.]])
         """
-        turn = upright_turn(up, self.world_from_camera)
-        return replace(self, world_from_camera=turn @ self.world_from_camera)
+        rotation = upright_turn(up, self.world_from_camera)
+        return replace(self, world_from_camera=rotation @ self.world_from_camera)
 
     def of_images(self, images: Sequence[str], times: Sequence[float] | None = None) -> Trajectory:
         """Return the poses of images, called as the images are; images without a pose are left out.
@@ -205,9 +205,9 @@ class Trajectory:
         if not (are_counts(images) and are_counts([_whole(name) for name in self.names])):
             named = {name: place for place, name in enumerate(self.names)}
             return {image: named[image] for image in images if image in named}
-        places = {int(_whole(name)): place for place, name in enumerate(self.names)}
+        indices = {int(_whole(name)): place for place, name in enumerate(self.names)}
         numbers = {image: int(image) for image in images}
-        matches = {image: places[number] for image, number in numbers.items() if number in places}
+        matches = {image: indices[number] for image, number in numbers.items() if number in indices}
         is_whole = len(matches) == min(len(images), len(self))
         return matches if is_whole and (0 in numbers.values() or not self.names_are_rows) else {}
 
@@ -222,9 +222,9 @@ def upright_turn(up: str, poses: Float[Tensor, "n 4 4"]) -> Float[Tensor, "4 4"]
     check_choice("up", up, UPS)
     axes = {"-y": [0.0, -1.0, 0.0], "y": [0.0, 1.0, 0.0], "z": [0.0, 0.0, 1.0]}
     upwards = -poses[:, :3, 1].mean(0) if up == "camera" else poses.new_tensor(axes[up])
-    turn = torch.eye(4).to(poses)
-    turn[:3, :3] = _shortest_turn(torch.nn.functional.normalize(upwards, dim=0))
-    return turn
+    transform = torch.eye(4).to(poses)
+    transform[:3, :3] = _shortest_turn(torch.nn.functional.normalize(upwards, dim=0))
+    return transform
 
 
 def _whole(name: str) -> str:

@@ -46,17 +46,17 @@ def seconds(names: Sequence[str]) -> list[float | None]:
     stems = [re.sub(r"^[A-Za-z]+_(?=\d)", "", name) for name in names]
     if all(map(_DATE.fullmatch, stems)):
         return [None] * len(names)
-    parts = [_PARTS.fullmatch(stem) for stem in stems]
-    is_nano = any(len(part[2]) > 6 for part in parts if part)
+    matches = [_PARTS.fullmatch(stem) for stem in stems]
+    is_nano = any(len(part[2]) > 6 for part in matches if part)
     times = [
         int(part[1]) + int(part[2]) * (1e-9 if is_nano else 1e-6) if part else _of_number(stem)
-        for stem, part in zip(stems, parts, strict=True)
+        for stem, part in zip(stems, matches, strict=True)
     ]
     return [
         time
         if time is None or time >= _SINCE_1970 or (is_nano if part else stem == name or "." in stem)
         else None
-        for name, stem, part, time in zip(names, stems, parts, times, strict=True)
+        for name, stem, part, time in zip(names, stems, matches, times, strict=True)
     ]
 
 
@@ -100,13 +100,13 @@ def nearest_in_time(
         [1, None, None]
     """
     ordered = sorted((other, place) for place, other in enumerate(others) if other is not None)
-    places: list[int | None] = []
+    indices: list[int | None] = []
     for time in times:
         if time is None:
-            places.append(None)
+            indices.append(None)
             continue
         after = bisect_left(ordered, (time, -1))
-        near = [(abs(other - time), place) for other, place in ordered[max(after - 1, 0) : after + 1]]
-        apart, place = min(near, default=(float("inf"), -1))
-        places.append(place if apart <= tolerance else None)
-    return places
+        candidates = [(abs(other - time), place) for other, place in ordered[max(after - 1, 0) : after + 1]]
+        apart, place = min(candidates, default=(float("inf"), -1))
+        indices.append(place if apart <= tolerance else None)
+    return indices

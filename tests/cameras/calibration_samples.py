@@ -178,21 +178,13 @@ gyroflow = partial(sample, "lens.json")
 spires = partial(sample, "spires.yaml")
 opencv_stereo = partial(sample, "stereo.yaml")
 
-KALIBR: dict[str, dict[str, Any]] = dict(
-    zip(
-        (
-            "pinhole none",
-            "pinhole radtan",
-            "pinhole equidistant",
-            "omni none",
-            "omni radtan",
-            "eucm none",
-            "ds none",
-        ),
-        sample("camchain.yaml").values(),
-        strict=True,
-    )
-)
+_KALIBR = (
+    "pinhole none", "pinhole radtan", "pinhole equidistant", "omni none", "omni radtan", "eucm none", "ds none"
+)  # fmt: skip
+KALIBR: dict[str, dict[str, Any]] = {
+    kind: {key: value for key, value in lens.items() if key not in ("rostopic", "T_cn_cnm1")}
+    for kind, lens in zip(_KALIBR, sample("camchain.yaml").values(), strict=True)
+}
 
 
 def kalibr(*kinds: str, **changes: Any) -> dict[str, Any]:
@@ -200,8 +192,9 @@ def kalibr(*kinds: str, **changes: Any) -> dict[str, Any]:
     step = sample("camchain.yaml")["cam1"]["T_cn_cnm1"]
     content: dict[str, Any] = {}
     for index, kind in enumerate(kinds):
-        lens = {key: value for key, value in KALIBR[kind].items() if key != "T_cn_cnm1"}
-        content[f"cam{index}"] = lens | {"rostopic": f"/cam{index}"} | ({"T_cn_cnm1": step} if index else {})
+        content[f"cam{index}"] = (
+            KALIBR[kind] | {"rostopic": f"/cam{index}"} | ({"T_cn_cnm1": step} if index else {})
+        )
     content["cam0"].update(changes)
     return content
 

@@ -40,8 +40,8 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     Raises:
         FileFormatError: the name of the file tells no model; keys alone do not.
     """
-    words = re.findall(r"[a-z]+\d*", path.stem.lower())
-    named = [lens.name for lens in _LENSES if lens.name in words]
+    tokens = re.findall(r"[a-z]+\d*", path.stem.lower())
+    named = [lens.name for lens in _LENSES if lens.name in tokens]
     if len(named) != 1:
         raise FileFormatError(
             f"{path}: expected a model in the name of the file, as DS.yml: one of {', '.join(x.name for x in _LENSES)}"

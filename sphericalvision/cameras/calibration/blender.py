@@ -129,8 +129,8 @@ def _checked(focal_length: float, where: str) -> Tensor:
 
 def _image_size(values: Keys) -> tuple[int, int]:
     """(height, width) of the picture that is written."""
-    share = values.number("resolution_percentage", 100.0) / 100
-    sides = [int(values.number(key) * share) for key in ("resolution_x", "resolution_y")]
+    ratio = values.number("resolution_percentage", 100.0) / 100
+    sides = [int(values.number(key) * ratio) for key in ("resolution_x", "resolution_y")]
     aspects = [values.number(key) for key in ("pixel_aspect_x", "pixel_aspect_y") if key in values]
     if len(set(aspects)) > 1:
         raise FileFormatError(

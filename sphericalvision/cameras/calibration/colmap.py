@@ -110,23 +110,23 @@ def contents(path: Path, options: Options) -> Contents:
         FileFormatError: a record is broken, or its model is not known; the message names line or byte.
         MissingFileError: ``cameras`` is not beside the file.
     """
-    part = path.stem if path.name in _BY_NAME else "cameras"
-    if part == "frames":
+    file_type = path.stem if path.name in _BY_NAME else "cameras"
+    if file_type == "frames":
         raise FileFormatError(
             f"{path}: holds poses of rigs; read the folder, rigs{path.suffix} or images{path.suffix}"
         )
     paths = {name: path.with_name(f"{name}{path.suffix}") for name in _PARTS}
-    file = path if part == "cameras" else check_file(paths["cameras"], f"the cameras of {path.name}")
+    file = path if file_type == "cameras" else check_file(paths["cameras"], f"the cameras of {path.name}")
     cameras = _cameras(file, options)
-    if part == "cameras" and options.rig:
+    if file_type == "cameras" and options.rig:
         rigs = rigs_in(paths["rigs"]) if paths["rigs"].is_file() else []
         if any(rig.sensors for rig in rigs):
-            part = "rigs"
+            file_type = "rigs"
         elif paths["images"].is_file():
-            part = "images"
-    if part == "rigs":
+            file_type = "images"
+    if file_type == "rigs":
         return _of_rigs(rigs_in(paths["rigs"]), cameras, paths["rigs"], options)
-    if part == "images":
+    if file_type == "images":
         return _of_images(images_in(paths["images"]), cameras, paths["images"], options)
     return Contents(cameras)
 

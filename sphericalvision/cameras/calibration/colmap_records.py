@@ -212,17 +212,17 @@ def _text_images(path: Path) -> list[ImageRecord]:
             )
     images = []
     for number, line in lines[::2]:
-        words = line.split(maxsplit=9)
-        if not words:
+        entries = line.split(maxsplit=9)
+        if not entries:
             continue
         where = f"{path}, line {number}"
-        if len(words) < 10:
+        if len(entries) < 10:
             raise FileFormatError(
                 f"{where}: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, got {line.strip()!r:.80}"
             )
-        image, camera = _ids([words[0], words[8]], where)
-        pose = numbers(words[1:8], f"{where}, QW QX QY QZ TX TY TZ", 7)
-        images.append(ImageRecord(where, image, pose, camera, words[9].strip()))
+        image, camera = _ids([entries[0], entries[8]], where)
+        pose = numbers(entries[1:8], f"{where}, QW QX QY QZ TX TY TZ", 7)
+        images.append(ImageRecord(where, image, pose, camera, entries[9].strip()))
     return images
 
 
@@ -432,8 +432,8 @@ def text_files(
         lines["cameras"].append(_joined(camera.id, camera.model, *camera.size, *camera.parameters))
     for image in images:
         pairs = zip(image.pixels.tolist(), image.points.tolist(), strict=True)
-        shown = " ".join(f"{u:.3f} {v:.3f} {point + 1}" for (u, v), point in pairs)
-        lines["images"] += [_joined(image.id, *image.pose, image.camera, image.name), shown]
+        line = " ".join(f"{u:.3f} {v:.3f} {point + 1}" for (u, v), point in pairs)
+        lines["images"] += [_joined(image.id, *image.pose, image.camera, image.name), line]
     for rig in rigs:
         others = [
             word for sensor in rig.sensors for word in (sensor.type, sensor.id, 1, *(sensor.pose or []))
@@ -464,26 +464,26 @@ def binary_files(
     points: PointRecords = PointRecords(),  # noqa: B008
 ) -> dict[str, bytes]:
     """The same in binary."""
-    parts = [struct.pack("<Q", len(cameras))]
+    chunks = [struct.pack("<Q", len(cameras))]
     for camera in cameras:
-        parts.append(struct.pack("<IiQQ", camera.id, MODELS[camera.model][0], *camera.size))
-        parts.append(struct.pack(f"<{len(camera.parameters)}d", *camera.parameters))
-    files = {"cameras.bin": b"".join(parts)}
+        chunks.append(struct.pack("<IiQQ", camera.id, MODELS[camera.model][0], *camera.size))
+        chunks.append(struct.pack(f"<{len(camera.parameters)}d", *camera.parameters))
+    files = {"cameras.bin": b"".join(chunks)}
     if not images:
         return files
-    parts = [struct.pack("<Q", len(images))]
+    chunks = [struct.pack("<Q", len(images))]
     for image in images:
-        shown = np.empty(len(image.points), [("pixel", "<f8", 2), ("point", "<u8")])
-        shown["pixel"], shown["point"] = image.pixels, image.points + 1
-        parts.append(struct.pack("<I7dI", image.id, *image.pose, image.camera))
-        parts.append(image.name.encode() + b"\0" + struct.pack("<Q", len(shown)) + shown.tobytes())
-    files["images.bin"] = b"".join(parts)
-    parts = [struct.pack("<Q", len(rigs))]
+        sightings = np.empty(len(image.points), [("pixel", "<f8", 2), ("point", "<u8")])
+        sightings["pixel"], sightings["point"] = image.pixels, image.points + 1
+        chunks.append(struct.pack("<I7dI", image.id, *image.pose, image.camera))
+        chunks.append(image.name.encode() + b"\0" + struct.pack("<Q", len(sightings)) + sightings.tobytes())
+    files["images.bin"] = b"".join(chunks)
+    chunks = [struct.pack("<Q", len(rigs))]
     grouped = [(rig, frame) for rig in rigs for frame in _frames(images, rig)]
     frames = [struct.pack("<Q", len(grouped))]
     for rig in rigs:
-        parts.append(struct.pack("<IIiI", rig.id, len(rig.sensors) + 1, 0, rig.reference.id))
-        parts += [struct.pack("<iIB7d", 0, sensor.id, 1, *(sensor.pose or [])) for sensor in rig.sensors]
+        chunks.append(struct.pack("<IIiI", rig.id, len(rig.sensors) + 1, 0, rig.reference.id))
+        chunks += [struct.pack("<iIB7d", 0, sensor.id, 1, *(sensor.pose or [])) for sensor in rig.sensors]
     for number, (rig, frame) in enumerate(grouped, start=1):
         frames.append(struct.pack("<II7dI", number, rig.id, *frame[0].pose, len(frame)))
         frames += [struct.pack("<iIQ", 0, image.camera, image.id) for image in frame]
@@ -492,7 +492,7 @@ def binary_files(
         rows.append(struct.pack("<Q3d3BdQ", number, *position, *color, 0.0, len(track)))
         rows.append(track.astype("<u4").tobytes())
     return files | {
-        "rigs.bin": b"".join(parts),
+        "rigs.bin": b"".join(chunks),
         "frames.bin": b"".join(frames),
         "points3D.bin": b"".join(rows),
     }

@@ -149,8 +149,8 @@ def warn_left_out(path: Path, mark: str, names: Sequence[str]) -> None:
     """Warn of what a file itself marks as not to be used."""
     if names:
         names = [f"{name:.80}" for name in names]
-        shown = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
-        warnings.warn(f"{path}: {len(names)} left out, which the file marks as {mark}: {shown}", stacklevel=5)
+        first = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+        warnings.warn(f"{path}: {len(names)} left out, which the file marks as {mark}: {first}", stacklevel=5)
 
 
 class Gathered:

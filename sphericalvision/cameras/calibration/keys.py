@@ -254,7 +254,7 @@ def _check_one_set(entries: list[Keys], where: str) -> None:
 def _never_matters(key: str) -> bool:
     if key.startswith("_"):  # how a comment is written in JSON, which has none
         return True
-    words = [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", key)]
-    if any(map(_NEVER_MATTER.fullmatch, words)) or _NAMES.fullmatch(key):
+    tokens = [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", key)]
+    if any(map(_NEVER_MATTER.fullmatch, tokens)) or _NAMES.fullmatch(key):
         return True
-    return any(map(_SELDOM_MATTER.fullmatch, words)) and not any(map(_MATTER.fullmatch, words))
+    return any(map(_SELDOM_MATTER.fullmatch, tokens)) and not any(map(_MATTER.fullmatch, tokens))

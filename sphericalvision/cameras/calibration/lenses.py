@@ -134,7 +134,7 @@ class Lens:
 
     def split(self, camera: Camera) -> tuple[list[float], dict[str, Any]]:
         """The numbers of a camera of our class in the order of the file, and what it has that the lens has not."""
-        beyond: dict[str, Any] = {
+        excess: dict[str, Any] = {
             name: getattr(camera, name)
             for name, value in self.options.items()
             if getattr(camera, name) != value
@@ -144,13 +144,13 @@ class Lens:
             if isinstance(declared, Intrinsic):
                 value, names = getattr(camera, name), declared.names(name)
                 if value is None and set(names) & set(self.names):
-                    beyond[name] = None
+                    excess[name] = None
                 numbers = [] if value is None else numbers_of(value)
                 parameters |= zip(names, numbers * 2 if name == "focal_length" else numbers, strict=False)
-        beyond |= {name: value for name, value in parameters.items() if value and name not in self.names}
+        excess |= {name: value for name, value in parameters.items() if value and name not in self.names}
         if self._has_alpha:
             parameters |= {name: parameters[name] / (1 + parameters["xi"]) for name in ("fx", "fy", "xi")}
-        return [parameters.get(name, 0.0) for name in self.names], beyond
+        return [parameters.get(name, 0.0) for name in self.names], excess
 
 
 PANORAMA = Lens(

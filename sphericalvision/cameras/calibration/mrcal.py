@@ -55,9 +55,9 @@ def contents(path: Path, options: Options) -> Contents:
     kind, count = _MODELS[values.chosen("lensmodel", _MODELS)]
     camera = distorted(kind, values.numbers("intrinsics", count), values.size("imagersize"), where)
     key = "rt_cam_ref" if "rt_cam_ref" in values else "extrinsics"
-    turn = torch.tensor(values.numbers(key, 6), dtype=torch.float64)
+    motion = torch.tensor(values.numbers(key, 6), dtype=torch.float64)
     check_understood(values, where, "valid_intrinsics_region|icam_intrinsics|optimization_inputs")
-    pose = invert_transform(transform_from_axis_angle(turn[:3], turn[3:]))
+    pose = invert_transform(transform_from_axis_angle(motion[:3], motion[3:]))
     return Gathered(options).add(path.stem, camera, where, pose).contents
 
 

@@ -162,8 +162,8 @@ def _folder_contents(folder: Path, options: Options) -> Contents:
         raise MissingFileError(
             f"{folder}: no ocam1.txt, ocam2.txt, ... beside poses.txt (one for each camera expected)"
         )
-    stated = re.search(r"^# translation_unit: (\S+)", read_text(poses_path), re.MULTILINE)
-    name = stated[1] if stated else options.translation_unit
+    comment = re.search(r"^# translation_unit: (\S+)", read_text(poses_path), re.MULTILINE)
+    name = comment[1] if comment else options.translation_unit
     if name is None:
         raise ArgumentError(
             f"translation_unit: {poses_path} does not tell its unit; pass 'm', 'cm' or 'mm' "

@@ -218,8 +218,8 @@ def _camera(content: Keys, index: str, where: str, options: Options) -> Camera:
         raise FileFormatError(
             f"{where}, {key}: a skew of {skew:g} is for fisheye and omnidirectional cameras; OpenCV's others have none"
         )
-    place = f"{where}, {distortion_key or key}"
-    return distorted(kind, numbers + coefficients, size, place, skew if has_skew else None)
+    location = f"{where}, {distortion_key or key}"
+    return distorted(kind, numbers + coefficients, size, location, skew if has_skew else None)
 
 
 def write_opencv(cameras: Camera | CameraRig, path: str | Path) -> None:

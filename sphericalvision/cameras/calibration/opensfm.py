@@ -65,8 +65,8 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
             )
         if shot.get("orientation", 1) not in (0, 1):
             raise FileFormatError(f"{shot.at('orientation')}: expected 1, an image that is not turned")
-        parts = [shot.numbers(key, 3) for key in ("rotation", "translation")]
-        turn, place = torch.tensor(parts, dtype=torch.float64)
+        vectors = [shot.numbers(key, 3) for key in ("rotation", "translation")]
+        turn, place = torch.tensor(vectors, dtype=torch.float64)
         pose = invert_transform(transform_from_axis_angle(turn, place))
         calibration.add(name, cameras.cameras[lens], shot.where, pose)
     if not calibration.cameras:

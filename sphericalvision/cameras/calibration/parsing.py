@@ -117,18 +117,18 @@ def size_from_width_height(values: Any, where: str) -> tuple[int, int]:
 
 def chosen(value: Any, choices: Iterable[str], where: str) -> str:
     """``value`` if it is one of the words ``choices``, else ``FileFormatError``; ``where`` names file and key."""
-    words = tuple(choices)
-    if not isinstance(value, str) or value not in words:
-        raise FileFormatError(f"{where}: expected {_listed(words)}, got {short_repr(value)}")
+    names = tuple(choices)
+    if not isinstance(value, str) or value not in names:
+        raise FileFormatError(f"{where}: expected {_listed(names)}, got {short_repr(value)}")
     return value
 
 
 def chosen_model(value: Any, choices: Iterable[str], where: str) -> str:
     """``value`` or the one of a format's names of models that it is a synonym of, else ``FileFormatError``."""
-    words = tuple(choices)
-    if isinstance(value, str) and value not in words:
-        value = next((word for word in words if model_meant(word) == model_meant(value)), value)
-    return chosen(value, words, where)
+    names = tuple(choices)
+    if isinstance(value, str) and value not in names:
+        value = next((word for word in names if model_meant(word) == model_meant(value)), value)
+    return chosen(value, names, where)
 
 
 def _listed(words: tuple[str, ...]) -> str:

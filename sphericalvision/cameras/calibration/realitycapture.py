@@ -94,10 +94,10 @@ def _camera(values: Keys, path: Path, options: Options) -> Camera:
     side = max(height, width)
     focal = get("FocalLength35mm")[0] * side / 36
     aspect = get("AspectRatio", "1")[0]
-    middle = None if "PrincipalPointU" in values or "PrincipalPointV" in values else "0"  # both or none
+    fallback = None if "PrincipalPointU" in values or "PrincipalPointV" in values else "0"  # both or none
     center = [
-        width / 2 + get("PrincipalPointU", middle)[0] * side - 0.5,
-        height / 2 + get("PrincipalPointV", middle)[0] * side - 0.5,
+        width / 2 + get("PrincipalPointU", fallback)[0] * side - 0.5,
+        height / 2 + get("PrincipalPointV", fallback)[0] * side - 0.5,
     ]
     plane = [focal, focal * aspect, *center]
     if not any(coefficients):

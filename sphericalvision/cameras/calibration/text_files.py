@@ -148,7 +148,7 @@ def _from_element(element: ElementTree.Element, path: Path) -> Any:
         return [_from_element(child, path) for child in children]
     if children or element.tag == "opencv_storage":
         return once([(child.tag, _from_element(child, path)) for child in children], path)
-    words = (element.text or "").split()
+    tokens = (element.text or "").split()
     if element.tag == "data":
-        return words
-    return words[0].strip('"') if len(words) == 1 else words
+        return tokens
+    return tokens[0].strip('"') if len(tokens) == 1 else tokens

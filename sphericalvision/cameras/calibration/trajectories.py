@@ -89,8 +89,8 @@ def read_trajectory(path: str | Path) -> Trajectory:
             )
         trajectory, *others = map(_images, files)
         for other in others:
-            both = trajectory.world_from_camera, other.world_from_camera
-            if trajectory.names != other.names or not torch.allclose(*both, rtol=1e-7, atol=1e-5):
+            pair = trajectory.world_from_camera, other.world_from_camera
+            if trajectory.names != other.names or not torch.allclose(*pair, rtol=1e-7, atol=1e-5):
                 raise FileFormatError(f"{path}: images.bin and images.txt hold different poses; name one")
         return trajectory
     check_file(path, "poses of a moving camera")
@@ -194,9 +194,9 @@ def _time(header: list[str], words: list[str], values: list[float], where: str) 
 
 def _columns(line: str) -> list[str] | None:
     """What the words of a header stand for, a name of ``_HEADERS`` or as they are; None of any other line."""
-    words = re.sub(r"[\[(][^])]*[])]|[#,;\"]", " ", line).split()
+    tokens = re.sub(r"[\[(][^])]*[])]|[#,;\"]", " ", line).split()
     names = [
-        next((to for to, pattern in _HEADERS.items() if pattern.fullmatch(word)), word) for word in words
+        next((to for to, pattern in _HEADERS.items() if pattern.fullmatch(word)), word) for word in tokens
     ]
     if not all(names.count(name) == 1 for name in COLUMNS[1:]):
         return None
@@ -223,8 +223,8 @@ def _images(path: Path) -> Trajectory:
         )
     if not named:
         raise FileFormatError(f"{path}: no image in it")
-    places = {name: place for place, name in enumerate(in_order(name for name, _ in named))}
-    named.sort(key=lambda pair: places[pair[0]])
+    order = {name: place for place, name in enumerate(in_order(name for name, _ in named))}
+    named.sort(key=lambda pair: order[pair[0]])
     return _trajectory([name for name, _ in named], [pose for _, pose in named], path)
 
 
@@ -238,7 +238,7 @@ def _trajectory(
         if key in seen:
             raise FileFormatError(f"{path}: two poses are called {name}; expected one a time or image")
         seen.add(key)
-    places = torch.stack(poses)
-    if (places[:, :3, 3].abs() > FARTHEST).any():
+    transforms = torch.stack(poses)
+    if (transforms[:, :3, 3].abs() > FARTHEST).any():
         raise FileFormatError(f"{path}: a pose is more than {FARTHEST:g} m from the origin; expected metres")
-    return Trajectory(names, places, names_are_rows)
+    return Trajectory(names, transforms, names_are_rows)

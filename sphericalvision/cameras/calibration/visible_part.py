@@ -54,13 +54,13 @@ def _border_pixels(image_size: tuple[int, int], samples: int = 128) -> Tensor:
 def _angles_at_the_edge(camera: Camera, border: Tensor) -> Tensor:
     """Angles at the last pixels that the model knows on the way from the principal point to the border."""
     forward = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
-    near, far = camera.project(forward).pixels.expand_as(border), border
+    inner, far = camera.project(forward).pixels.expand_as(border), border
     widest = torch.zeros_like(border[:, 0])
     for fraction in (1.0, *([0.5] * 30)):
-        pixels = near + fraction * (far - near)
+        pixels = inner + fraction * (far - inner)
         angles, valid = _angles(camera, pixels)
         widest = torch.where(valid, torch.maximum(widest, angles), widest)
-        near = torch.where(valid.unsqueeze(-1), pixels, near)
+        inner = torch.where(valid.unsqueeze(-1), pixels, inner)
         far = torch.where(valid.unsqueeze(-1), far, pixels)
     return widest
 

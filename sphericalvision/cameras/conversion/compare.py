@@ -76,11 +76,11 @@ def compare_cameras(first: Camera, second: Camera, angles: Sequence[float] | Non
     directions = directions_around_axis(rings.unsqueeze(-1), azimuth)
     pixels, seen = first.project(directions)
     others, other_seen = second.project(directions)
-    both = seen & other_seen
-    apart = (pixels - others).norm(dim=-1)
+    valid = seen & other_seen
+    distance = (pixels - others).norm(dim=-1)
     rays, looks = second.unproject(pixels)
-    turn = torch.atan2(torch.linalg.cross(rays, directions).norm(dim=-1), (rays * directions).sum(-1))
-    return CameraDifference(rings, *_mean_and_most(apart, both), *_mean_and_most(turn, both & looks))
+    angle = torch.atan2(torch.linalg.cross(rays, directions).norm(dim=-1), (rays * directions).sum(-1))
+    return CameraDifference(rings, *_mean_and_most(distance, valid), *_mean_and_most(angle, valid & looks))
 
 
 def _mean_and_most(values: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:

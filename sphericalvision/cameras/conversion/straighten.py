@@ -55,8 +55,8 @@ def straighten(camera: Camera) -> Straightened:
     c, d, e = camera.affine.double().tolist()
     angle = math.atan2(d - e, 1 + c)
     cosine, sine = math.cos(angle), math.sin(angle)
-    turn = identity.new_tensor([[cosine, -sine], [sine, cosine]])
-    (across, shear), (_, down) = (identity.new_tensor([[1.0, e], [d, c]]) @ turn.T).tolist()
+    rotation2 = identity.new_tensor([[cosine, -sine], [sine, cosine]])
+    (across, shear), (_, down) = (identity.new_tensor([[1.0, e], [d, c]]) @ rotation2.T).tolist()
     power = torch.arange(camera.polynomial.shape[-1], dtype=torch.float64, device=camera.device)
     inverse = camera.inverse_polynomial
     straight = OCamCamera(
@@ -68,7 +68,7 @@ def straighten(camera: Camera) -> Straightened:
         camera.max_angle.double(),
     )
     rotation = identity.clone()
-    rotation[:2, :2] = turn.T
+    rotation[:2, :2] = rotation2.T
     return Straightened(straight.to(camera.dtype), rotation.to(camera.dtype), angle)
 
 
@@ -86,7 +86,7 @@ def straighten_rig(rig: CameraRig) -> CameraRig:
     check_single(rig)
     straight = {name: straighten(camera) for name, camera in rig.cameras.items()}
     poses = rig.world_from_camera.double()
-    turns = torch.stack([upright.old_from_new for upright in straight.values()]).to(poses)
-    poses = torch.cat((poses[:, :3, :3] @ turns, poses[:, :3, 3:]), -1)
+    rotations = torch.stack([upright.old_from_new for upright in straight.values()]).to(poses)
+    poses = torch.cat((poses[:, :3, :3] @ rotations, poses[:, :3, 3:]), -1)
     poses = torch.cat((poses, rig.world_from_camera[:, 3:].double()), 1).to(rig.world_from_camera.dtype)
     return rig.replaced({name: upright.camera for name, upright in straight.items()}, poses)

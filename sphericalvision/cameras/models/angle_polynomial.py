@@ -143,8 +143,8 @@ def _power_start(model: FittedModel, samples: Samples) -> list[Tensor]:
     radius = samples.radius
     powers = torch.stack([radius ** (k + 2) for k in range(model.sizes["distortion"] or 0)], dim=-1)
     coefficients = solve_linear(powers, samples.angle - radius)
-    parts = {"focal_length": samples.focal_length, "principal_point": samples.center}
-    return [model.vector(parts | {"distortion": coefficients})]
+    intrinsics = {"focal_length": samples.focal_length, "principal_point": samples.center}
+    return [model.vector(intrinsics | {"distortion": coefficients})]
 
 
 fitted(AnglePolynomialCamera, _power_start, num_coefficients=(4, 1, 2, 3, *range(5, 10)))

@@ -20,8 +20,8 @@ __all__ = ["ExtendedUnifiedCamera", "project_extended_unified", "unproject_exten
 
 def _widest_cosine(alpha: Tensor) -> Tensor:
     """The smallest z / d: −α / (1 − α) where the denominator vanishes, −(1 − α) / α where the radius turns."""
-    beyond = alpha > 0.5
-    smaller, larger = torch.where(beyond, 1 - alpha, alpha), torch.where(beyond, alpha, 1 - alpha)
+    is_bounded = alpha > 0.5
+    smaller, larger = torch.where(is_bounded, 1 - alpha, alpha), torch.where(is_bounded, alpha, 1 - alpha)
     return -smaller / larger
 
 

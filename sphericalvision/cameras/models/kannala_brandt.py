@@ -88,8 +88,8 @@ class Inverse(NamedTuple):
 
 def _spread(squared_radius: Tensor, most: Tensor) -> Tensor:
     """Grows with q, half for q around 1 and half for larger ones: at π the radius may be hundreds of focal lengths."""
-    middle = (1 + most).sqrt()
-    return squared_radius / (1 + squared_radius) + squared_radius / (middle + squared_radius)
+    bound = (1 + most).sqrt()
+    return squared_radius / (1 + squared_radius) + squared_radius / (bound + squared_radius)
 
 
 def tabulated(coefficients: Float[Tensor, "*batch k"], widest: Float[Tensor, "*batch"]) -> Inverse:

@@ -272,8 +272,8 @@ def _ocam_start(model: FittedModel, samples: Samples) -> list[Tensor]:
         offsets = (samples.pixels - samples.center).unbind(-1)
         (across, e), (d, down) = (solve_linear(ideal, offset) for offset in offsets)
         affine = torch.stack((down, d, e)) / across
-    parts = {"inverse_polynomial": coefficients, "principal_point": samples.center, "affine": affine}
-    return [model.vector(parts)]
+    intrinsics = {"inverse_polynomial": coefficients, "principal_point": samples.center, "affine": affine}
+    return [model.vector(intrinsics)]
 
 
 def _project_inverse(

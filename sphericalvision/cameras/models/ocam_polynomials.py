@@ -94,8 +94,8 @@ def _profile(camera: OCamCamera, widest: Tensor) -> tuple[Tensor, Tensor]:
     radius = torch.linspace(0, 1, 8193, dtype=torch.float64, device=camera.device)
     radius = radius * camera._max_radius(radius.unsqueeze(-1))
     angle = torch.atan2(radius, -polynomial(camera.polynomial, radius)[0])
-    beyond = (angle >= widest).nonzero()
-    last = int(beyond[0]) + 1 if len(beyond) else len(radius)
+    outside = (angle >= widest).nonzero()
+    last = int(outside[0]) + 1 if len(outside) else len(radius)
     return angle[:last], radius[:last]
 
 
@@ -117,8 +117,8 @@ def fit_direct(
     Of the smallest degree whose error in the image is within ``tolerance`` pixels, or the best up to 17.
     """
     # On the axis the tangent vanishes, and with it all that could be learned; a fitted radius may miss 0 there.
-    away = (radius > 1e-6 * radius.max()) & (angle > 1e-4)
-    angle, radius = angle[away], radius[away]
+    off_axis = (radius > 1e-6 * radius.max()) & (angle > 1e-4)
+    angle, radius = angle[off_axis], radius[off_axis]
     largest = radius.max()
     # A change of f by 1 turns the ray by sin²(angle) / radius, and moves its image by so many pixels:
     pixels_per_unit = torch.sin(angle) ** 2 / radius * torch.gradient(radius, spacing=(angle,))[0]

@@ -177,8 +177,8 @@ def radius_limit(coefficients: Float[Tensor, "*batch k"]) -> Float[Tensor, "*bat
         growing, upright = (signs.to(coefficients) for signs in _radial_signs(coefficients))
         before = growing.cumprod(-1)  # 1 up to the first fold
         until = torch.cummax(upright * (1 - before), -1).values  # 1 from where it turns again
-        middle = (_SAMPLES + (before - until).sum(-1)) / 2
-        return torch.where(before[..., -1] > 0, LARGEST_RADIUS, torch.tan(middle * _STEP))
+        center = (_SAMPLES + (before - until).sum(-1)) / 2
+        return torch.where(before[..., -1] > 0, LARGEST_RADIUS, torch.tan(center * _STEP))
 
 
 def fold_radius(coefficients: Float[Tensor, "*batch k"], azimuths: int = 32) -> Float[Tensor, "*batch"]:
@@ -191,8 +191,8 @@ def fold_radius(coefficients: Float[Tensor, "*batch k"], azimuths: int = 32) -> 
         1.0
     """
     with torch.no_grad():
-        turns = torch.arange(azimuths, dtype=coefficients.dtype, device=coefficients.device)
-        azimuth = turns.unsqueeze(-1) * (2 * math.pi / azimuths)
+        angles = torch.arange(azimuths, dtype=coefficients.dtype, device=coefficients.device)
+        azimuth = angles.unsqueeze(-1) * (2 * math.pi / azimuths)
         limit = torch.atan(radius_limit(coefficients))[..., None, None]
         coefficients = coefficients[..., None, None, :]
 

@@ -183,8 +183,8 @@ def _power_start(model: FittedModel, samples: Samples) -> list[Tensor]:
     powers = torch.stack([angle**power for power in range(1, (model.sizes["polynomial"] or 0) + 1)], dim=-1)
     coefficients = solve_linear(powers, samples.radius * samples.focal_length[0])
     aspect = samples.focal_length[1:] / samples.focal_length[:1]
-    parts = {"polynomial": coefficients, "principal_point": samples.center, "aspect_ratio": aspect}
-    return [model.vector(parts)]
+    intrinsics = {"polynomial": coefficients, "principal_point": samples.center, "aspect_ratio": aspect}
+    return [model.vector(intrinsics)]
 
 
 fitted(RadialPolynomialCamera, _power_start, num_coefficients=(4, 1, 2, 3, *range(5, 13)))

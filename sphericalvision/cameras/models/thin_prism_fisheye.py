@@ -169,9 +169,9 @@ def unproject_thin_prism_fisheye(
     u, v, near = _within_reach(u, v, coefficients)
     if composition == "sequential":
         radial = invert_plane_map(lambda x, y: _sequential(x, y, tangential, thin_prism), u, v, (u, v))
-        place = from_components(radial.x, radial.y)
+        position = from_components(radial.x, radial.y)
         unit, zero = torch.ones_like(focal_length), torch.zeros_like(principal_point)
-        directions, valid = unproject_kannala_brandt(place, unit, zero, distortion)
+        directions, valid = unproject_kannala_brandt(position, unit, zero, distortion)
         return Unprojection(directions, valid & radial.converged & near)
     angles = invert_plane_map(
         lambda x, y: _additive(x, y, coefficients, tangential, thin_prism),
@@ -192,10 +192,10 @@ def _within_reach(u: Tensor, v: Tensor, coefficients: Tensor) -> tuple[Tensor, T
         widest = widest_angle(coefficients)
         most = 1.5 * widest * polynomial(coefficients, widest * widest)[0]
         squared = addcmul(u * u, v, v)
-        near = squared <= most * most
-        shrink = torch.where(near, 1.0, most / squared.sqrt().clamp_min(torch.finfo(u.dtype).tiny))
+        inside = squared <= most * most
+        shrink = torch.where(inside, 1.0, most / squared.sqrt().clamp_min(torch.finfo(u.dtype).tiny))
     finite = shrink.isfinite() & (shrink > 0)
-    return torch.where(finite, u * shrink, 0.0), torch.where(finite, v * shrink, 0.0), near & finite
+    return torch.where(finite, u * shrink, 0.0), torch.where(finite, v * shrink, 0.0), inside & finite
 
 
 def _radial_start(u: Tensor, v: Tensor, coefficients: Tensor) -> tuple[Tensor, Tensor]:

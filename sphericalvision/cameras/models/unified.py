@@ -22,8 +22,8 @@ __all__ = ["UnifiedCamera", "project_unified", "unproject_unified"]
 
 def _widest_cosine(xi: Tensor) -> Tensor:
     """Cosine of the angle at which the model ends: −ξ where the denominator vanishes, −1/ξ where the radius turns."""
-    beyond = xi > 1
-    return -torch.where(beyond, 1 / torch.where(beyond, xi, 1.0), xi)
+    is_bounded = xi > 1
+    return -torch.where(is_bounded, 1 / torch.where(is_bounded, xi, 1.0), xi)
 
 
 def _lift(x: Tensor, y: Tensor, xi: Tensor) -> Unprojection:

@@ -36,13 +36,13 @@ def source_pixels(
         rotation: (*b, 3, 3), target_from_source.
         positions: (u, v); dtype and device of the answer.
     """
-    turns = () if rotation is None else rotation.shape[:-2]
-    batch = broadcast_shapes(source.batch_shape, target.batch_shape, turns)
+    batch_of_rotation = () if rotation is None else rotation.shape[:-2]
+    batch = broadcast_shapes(source.batch_shape, target.batch_shape, batch_of_rotation)
     directions, seen = lifted(target, batch).unproject(positions.expand(*batch, *positions.shape))
     if rotation is not None:
         # target_from_source turns the other way: its transpose acts on column vectors, itself on rows.
-        turn = rotation.to(directions).expand(*batch, 3, 3).reshape(-1, 3, 3)
-        directions = (directions.reshape(len(turn), -1, 3) @ turn).reshape(directions.shape)
+        matrices = rotation.to(directions).expand(*batch, 3, 3).reshape(-1, 3, 3)
+        directions = (directions.reshape(len(matrices), -1, 3) @ matrices).reshape(directions.shape)
     pixels, visible = lifted(source, batch).project(directions)
     return pixels, seen & visible
 

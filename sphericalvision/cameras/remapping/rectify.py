@@ -222,13 +222,13 @@ class RectifiedPair:
         side, sign = self._checked("distance", distance, of)
         distance = at_least_float32("distance", distance)
         baseline, forward, along, across = self._rays(distance)
-        known = distance > 0
-        near = baseline / torch.where(known, distance, 1.0)
+        positive = distance > 0
+        inverse = baseline / torch.where(positive, distance, 1.0)
         if isinstance(self.camera, PinholeCamera):
-            pixels = near * self.camera.focal_length[0].to(near) / forward
+            pixels = inverse * self.camera.focal_length[0].to(inverse) / forward
         else:
-            pixels = torch.atan2(near * across, 1 - sign * near * along) / self._step
-        valid = known & self._seen_by_both(pixels, side)
+            pixels = torch.atan2(inverse * across, 1 - sign * inverse * along) / self._step
+        valid = positive & self._seen_by_both(pixels, side)
         return torch.where(valid, pixels, 0.0), valid
 
     # What follows from the cameras --------------------------------------------------------------------------------
@@ -359,12 +359,12 @@ def _pair(source: CameraRig, kind: str, image_size: tuple[int, int] | None) -> R
         raise _NoPairError(f"pairs: {' and '.join(source.names)} stand in one place, which gives no parallax")
     axes = source.world_from_camera[:, :3, :3]
     right = normalize(source.positions[1] - source.positions[0])
-    ahead = _ahead(right, axes)
-    down = torch.linalg.cross(ahead, right)
+    forward = _ahead(right, axes)
+    down = torch.linalg.cross(forward, right)
     upright = (right if kind == "equirectangular" else down) @ axes[:, :, 1].sum(0)
     if float(upright.detach()) < -1e-6:
         source, right, down = source.subset([1, 0]), -right, -down
-    columns = (right, down, ahead) if kind == "pinhole" else (-down, right, ahead)
+    columns = (right, down, forward) if kind == "pinhole" else (-down, right, forward)
     poses = source.world_from_camera.clone()
     poses[:, :3, :3] = torch.stack(columns, -1)
     camera = _virtual_camera(source, poses, kind, image_size)
@@ -403,11 +403,11 @@ def _virtual_camera(
         whole = EquirectangularCamera((rows, 2 * rows))
     rows = min(whole.image_size[0], _COARSE)
     coarse = whole.resized((rows, rows * whole.image_size[1] // whole.image_size[0]))
-    turns = poses[:, :3, :3].mT @ source.world_from_camera[:, :3, :3]
+    rotations = poses[:, :3, :3].mT @ source.world_from_camera[:, :3, :3]
     seen = torch.stack(
         [
             remap_mask(camera, coarse.to(camera.device), turn, mask=source.masks.get(name))
-            for (name, camera), turn in zip(source.cameras.items(), turns, strict=True)
+            for (name, camera), turn in zip(source.cameras.items(), rotations, strict=True)
         ]
     )
     dim = -1 if kind == "pinhole" else -2

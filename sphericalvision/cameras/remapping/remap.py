@@ -239,9 +239,9 @@ class _InverseLookup(MaskedLookup):
             torch.promote_types(values.dtype, torch.float32)
         )
         mean, valid = self.means(inverse, valid_depth if mask is None else valid_depth & self._checked(mask))
-        near = mean > 0
+        positive = mean > 0
         far = torch.full_like(mean[..., :1, :], torch.inf)
         if valid is not None:
             far = torch.where(valid.unsqueeze(-2), far, self.fill)
-        depth = torch.where(near, 1 / torch.where(near, mean, 1.0), far)
+        depth = torch.where(positive, 1 / torch.where(positive, mean, 1.0), far)
         return depth.to(values.dtype).unflatten(-1, self.target_shape)

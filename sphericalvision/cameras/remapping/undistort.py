@@ -122,9 +122,9 @@ def undistorted_camera(
             + ("; the camera's image has no scale on its axis to take over" if focal_length is None else "")
         )
     batch = broadcast_shapes(focal.shape, camera.batch_shape)
-    middle = torch.tensor([(width - 1) / 2, (height - 1) / 2], dtype=focal.dtype, device=focal.device)
+    center = torch.tensor([(width - 1) / 2, (height - 1) / 2], dtype=focal.dtype, device=focal.device)
     return PinholeCamera(
-        focal.expand(batch).unsqueeze(-1).repeat_interleave(2, -1), middle.expand(*batch, 2), (height, width)
+        focal.expand(batch).unsqueeze(-1).repeat_interleave(2, -1), center.expand(*batch, 2), (height, width)
     )
 
 

@@ -99,12 +99,12 @@ class Board(ABC):
     def _refined(self, grey: Array, ids: Array, rough: Array) -> tuple[Array, Array]:
         """Pixels (k, 2) at saddles of the image, and which did find one: a window holds one corner alone."""
         points = self.points[ids]
-        places = torch.from_numpy(rough).double()
-        apart, metres = torch.cdist(places, places), torch.cdist(points, points)
+        positions = torch.from_numpy(rough).double()
+        apart, metres = torch.cdist(positions, positions), torch.cdist(points, points)
         metres.fill_diagonal_(torch.inf)
-        near = metres < 1.5 * metres.min(-1, keepdim=True).values
+        neighbors = metres < 1.5 * metres.min(-1, keepdim=True).values
         scale = (
-            (apart / metres).masked_fill(~near, torch.inf).amin(-1).numpy()
+            (apart / metres).masked_fill(~neighbors, torch.inf).amin(-1).numpy()
         )  # pixels a metre, foreshortened
         windows = np.clip(0.5 * self.clear * scale, *_WINDOWS).astype(int)
         ending = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
@@ -239,8 +239,8 @@ class AprilGrid(Board):
             raise ArgumentError(
                 f"columns, rows: expected {len(tags.bytesList)} tags at most, got {columns} x {rows}"
             )
-        place = _grid(2 * columns, 2 * rows)
-        self.points = ((place / 2).floor() * (1 + spacing) + place % 2) * tag
+        cells = _grid(2 * columns, 2 * rows)
+        self.points = ((cells / 2).floor() * (1 + spacing) + cells % 2) * tag
         self.columns, self.rows, self.tag, self.spacing = columns, rows, tag, spacing
         self.clear = min(spacing, 0.2) * tag  # a border is two of ten bits
         self._tags = tags

@@ -209,8 +209,8 @@ def _half_turn(points: Tensor) -> Tensor | None:
     motion = torch.diag(torch.tensor([-1.0, -1.0, 1.0, 1.0], dtype=torch.float64))
     points = points.detach().to("cpu", torch.float64)
     motion[:2, 3] = 2 * points.mean(0)[:2]
-    apart = (transform_points(motion, points) - points.flip(0)).abs().max()
-    return motion if apart < 1e-6 * (points - points[0]).abs().max() else None
+    distance = (transform_points(motion, points) - points.flip(0)).abs().max()
+    return motion if distance < 1e-6 * (points - points[0]).abs().max() else None
 
 
 def _turned(
@@ -250,13 +250,15 @@ def _astray(
     """
     errors = torch.zeros(seen.shape[:2], dtype=torch.float64)
     for view in range(len(seen)):
-        places = [place for place, (_, poses) in enumerate(alone.values()) if view in poses]
-        if len(places) < 2:
+        cameras = [place for place, (_, poses) in enumerate(alone.values()) if view in poses]
+        if len(cameras) < 2:
             continue
-        stood = rig.world_from_camera[places] @ torch.stack([alone[rig.names[at]][1][view] for at in places])
-        apart = torch.cdist(stood.flatten(1), stood.flatten(1)).sum(-1)
-        reference = int(apart.argmin())
-        for place in places[:reference] + places[reference + 1 :]:
+        stood = rig.world_from_camera[cameras] @ torch.stack(
+            [alone[rig.names[at]][1][view] for at in cameras]
+        )
+        distances = torch.cdist(stood.flatten(1), stood.flatten(1)).sum(-1)
+        reference = int(distances.argmin())
+        for place in cameras[:reference] + cameras[reference + 1 :]:
             visible = seen[view, place].cpu()
             local = transform_points(
                 rig.camera_from_world[place] @ stood[reference], points.to(stood)[visible]
@@ -313,13 +315,13 @@ def _poses(
         views = shared[reference, other]
         transforms = relative(reference, other, views)
         # The one that the others agree with.
-        apart = torch.cdist(transforms.flatten(1), transforms.flatten(1)).sum(-1)
-        best = transforms[apart.argmin()]
+        distances = torch.cdist(transforms.flatten(1), transforms.flatten(1)).sum(-1)
+        best = transforms[distances.argmin()]
         if half_turn is not None:
-            both = torch.stack((transforms, relative(reference, other, views, half_turn)))
-            candidates = both.flatten(0, 1)
-            turned_apart = torch.cdist(candidates.flatten(1), both.flatten(2)).amin(0).sum(-1)
-            if turned_apart.min() < _AGREES * apart.min():
+            variants = torch.stack((transforms, relative(reference, other, views, half_turn)))
+            candidates = variants.flatten(0, 1)
+            turned_apart = torch.cdist(candidates.flatten(1), variants.flatten(2)).amin(0).sum(-1)
+            if turned_apart.min() < _AGREES * distances.min():
                 best = candidates[turned_apart.argmin()]
         poses[other] = poses[reference] @ best
     return torch.stack([poses[name] for name in names])

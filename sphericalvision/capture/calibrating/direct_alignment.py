@@ -177,17 +177,17 @@ class _View:
         usable = camera.unproject(camera.pixel_grid()).valid
         if mask is not None:
             usable = usable & mask
-        shown = usable.to(images)[None, None]
-        images, self.shown = images * shown, shown
+        covered = usable.to(images)[None, None]
+        images, self.shown = images * covered, covered
         if self.shrink > 1:
-            images, self.shown = (F.avg_pool2d(x, self.shrink, ceil_mode=True) for x in (images, shown))
+            images, self.shown = (F.avg_pool2d(x, self.shrink, ceil_mode=True) for x in (images, covered))
 
         def mean(values: Tensor, sigma: float) -> Tensor:
             size = 2 * math.ceil(3 * sigma) + 1
-            both = [
+            pair = [
                 gaussian_blur2d(x, (size, size), (sigma, sigma), "constant") for x in (values, self.shown)
             ]
-            return both[0] / both[1].clamp(min=1e-3)
+            return pair[0] / pair[1].clamp(min=1e-3)
 
         # the images are already multiplied with what is shown, so both means leave out the rest
         band = (mean(images, blur) - mean(images, _BAND * blur)) * self.shown
@@ -199,10 +199,10 @@ class _View:
         pixels, valid = self.camera.project(rays)
         height, width = self.images.shape[-2:]
         size = pixels.new_tensor([width, height])
-        places = (pixels + 0.5) / self.shrink * 2 / size - 1
-        values = F.grid_sample(self.images, places, align_corners=False)
-        shown = F.grid_sample(self.shown.expand(len(rays), -1, -1, -1), places[:, :1], align_corners=False)
-        return values, valid[:, 0] & (shown[:, 0, 0] > 0.99)
+        grid = (pixels + 0.5) / self.shrink * 2 / size - 1
+        values = F.grid_sample(self.images, grid, align_corners=False)
+        covered = F.grid_sample(self.shown.expand(len(rays), -1, -1, -1), grid[:, :1], align_corners=False)
+        return values, valid[:, 0] & (covered[:, 0, 0] > 0.99)
 
 
 class _Problem:
@@ -225,16 +225,16 @@ class _Problem:
 
     def solve(self, parallax: Tensor, iterations: int) -> tuple[Tensor, Tensor, tuple[float, float]]:
         """Turns, their standard deviations, and how well images agreed before and after."""
-        turns = torch.zeros(len(self.views), 3, dtype=torch.float64, device=parallax.device)
+        rotations = torch.zeros(len(self.views), 3, dtype=torch.float64, device=parallax.device)
         start = parallax = parallax.clamp(0, _NEAREST)
         agreements = []
         for iteration in range(iterations + 1):
-            samples = [self._samples(place, turns, parallax) for place in range(len(self.views))]
-            step, deeper, spread, agreement = self._step(samples, turns, parallax - start)
+            samples = [self._samples(place, rotations, parallax) for place in range(len(self.views))]
+            step, deeper, spread, agreement = self._step(samples, rotations, parallax - start)
             agreements.append(agreement)
             if iteration < iterations:
-                turns, parallax = turns + step, (parallax + deeper).clamp(0, _NEAREST)
-        return turns, spread, (agreements[0], agreements[-1])
+                rotations, parallax = rotations + step, (parallax + deeper).clamp(0, _NEAREST)
+        return rotations, spread, (agreements[0], agreements[-1])
 
     def _samples(self, place: int, turns: Tensor, parallax: Tensor) -> _Samples:
         view, offset = self.views[place], self.offsets[place]
@@ -245,8 +245,8 @@ class _Problem:
         small = 0.3 * view.pixel
         tangents = _tangents(rays)
         moved = small * torch.stack((tangents, -tangents), 2).flatten(1, 2)  # (F, 4, V, 3)
-        looks = torch.cat((rays.unsqueeze(1), rays.unsqueeze(1) + moved), 1) @ world_from_camera
-        values, valid = view.look(looks)
+        local = torch.cat((rays.unsqueeze(1), rays.unsqueeze(1) + moved), 1) @ world_from_camera
+        values, valid = view.look(local)
         slopes = (values[:, :, 1::2] - values[:, :, 2::2]) / (2 * small)  # (F, c, 2, V)
         across = torch.linalg.cross(tangents, rays.unsqueeze(1), dim=-1)  # what a turn moves: turn @ across
         by_turn = (slopes * across.movedim(-1, 0).unsqueeze(2)).sum(3)
@@ -271,12 +271,12 @@ class _Problem:
             weight = both / (1 + square).square()
             columns = torch.cat((samples[one].by_turn, -samples[other].by_turn))  # (6, F, c, V)
             weighted = columns * weight.unsqueeze(1)
-            places = torch.tensor([3 * camera + axis for camera in (one, other) for axis in range(3)])
-            places = places.to(curve.device)
-            curve[places[:, None], places] += (weighted.flatten(1) @ columns.flatten(1).mT).double()
-            slopes[places] += (weighted * difference).sum(2)
+            parameters = torch.tensor([3 * camera + axis for camera in (one, other) for axis in range(3)])
+            parameters = parameters.to(curve.device)
+            curve[parameters[:, None], parameters] += (weighted.flatten(1) @ columns.flatten(1).mT).double()
+            slopes[parameters] += (weighted * difference).sum(2)
             by_depth = samples[one].by_depth - samples[other].by_depth
-            mixed[places] += (weighted * by_depth).sum(2)
+            mixed[parameters] += (weighted * by_depth).sum(2)
             depth_curve += (by_depth.square().sum(1)) * weight
             depth_slope += (by_depth * difference).sum(1) * weight
             typical.append(square[both > 0])
@@ -284,7 +284,7 @@ class _Problem:
         depth_curve, depth_slope = depth_curve + hold, depth_slope + hold * moved
         curve -= ((mixed / depth_curve).flatten(1) @ mixed.flatten(1).mT).double()
         slopes -= mixed * (depth_slope / depth_curve)
-        parts = slopes.new_zeros(size, _PARTS).index_add(1, self.parts, slopes.sum(1)).double().mT
+        sums = slopes.new_zeros(size, _PARTS).index_add(1, self.parts, slopes.sum(1)).double().mT
 
         at, eye = turns.flatten(), torch.eye(size, dtype=torch.float64, device=turns.device)
         squares = torch.cat(typical)
@@ -294,12 +294,10 @@ class _Problem:
         mean = torch.cat([share * eye[:3, :3] for share in right / right.sum()], 1)
         gauge = mean.mT @ mean * float(curve.diagonal().mean().clamp(min=1e-9)) * size
         answers = torch.linalg.inv(curve + held + gauge)
-        step = -answers @ (parts.sum(0) + held @ at + gauge @ at)
+        step = -answers @ (sums.sum(0) + held @ at + gauge @ at)
         deeper = -(depth_slope + torch.tensordot(step.to(mixed), mixed, 1)) / depth_curve
         # Parts of the sphere are as good as independent, which neighbouring directions are not.
-        variance = ((parts - parts.mean(0)) @ answers).square().sum(
-            0
-        ) + _STIFFNESS * noise * answers.diagonal()
+        variance = ((sums - sums.mean(0)) @ answers).square().sum(0) + _STIFFNESS * noise * answers.diagonal()
         return step.view_as(turns), deeper, variance.view_as(turns).sum(-1).sqrt(), agreed / compared
 
 

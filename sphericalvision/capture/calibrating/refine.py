@@ -307,8 +307,8 @@ class _Bundle:
         camera, lead = self.cameras[index], values.shape[:-1]
         tensors = {name: getattr(camera, name) for name in (*_intrinsics(camera), "max_angle")}
         tensors = {name: tensor.expand((*lead, *tensor.shape)) for name, tensor in tensors.items()}
-        parts = values.split(self.lengths[index], dim=-1)
-        for name, part in zip(self.free[index], parts, strict=True):
+        values_by_name = values.split(self.lengths[index], dim=-1)
+        for name, part in zip(self.free[index], values_by_name, strict=True):
             tensors[name] = part.reshape((*lead, *getattr(camera, name).shape))
         return camera.with_intrinsics(tensors)
 
@@ -316,11 +316,11 @@ class _Bundle:
         self, index: int, intrinsics: Tensor, camera: Tensor, views: Tensor, view: Tensor
     ) -> Tensor:
         """Pixels (k, 2) of the seen points of one camera; intrinsics and its move once, or a row for each point."""
-        places = self.seen[:, index].nonzero()[:, 1]
+        point_indices = self.seen[:, index].nonzero()[:, 1]
         pose = self.camera_from_world[index] @ _moves(view) @ self.world_from_points[views]
         if index:
             pose = _moves(camera) @ pose
-        local = transform_points(pose, self.points[places, None]).squeeze(-2)
+        local = transform_points(pose, self.points[point_indices, None]).squeeze(-2)
         return self._with(index, intrinsics).project(local).pixels
 
     def _parts_of(self, index: int, vector: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -332,12 +332,12 @@ class _Bundle:
 
     def residuals(self, vector: Tensor) -> Tensor:
         """Projection minus pixel of all that was seen, camera by camera, (r,)."""
-        parts = [
+        blocks = [
             self._predicted(index, *self._parts_of(index, vector))
             - self.pixels[:, index][self.seen[:, index]]
             for index in range(len(self.cameras))
         ]
-        return torch.cat(parts).flatten()
+        return torch.cat(blocks).flatten()
 
     @torch.enable_grad()
     def jacobian(self, vector: Tensor) -> Tensor:

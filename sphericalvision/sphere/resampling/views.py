@@ -18,30 +18,24 @@ from sphericalvision.cameras.remapping.lookup import pixels_a_radian
 from sphericalvision.cameras.remapping.pinhole_views import checked_angles, rotation_from_yaw_pitch_roll
 from sphericalvision.cameras.remapping.rectify import RectifiedPair
 from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_tensor
-from sphericalvision.geometry import angle_from_axis
-from sphericalvision.geometry.directions import holds, normalize
-from sphericalvision.geometry.surfaces import distance_along
+from sphericalvision.geometry.directions import holds
 from sphericalvision.sphere.grids.cube_layouts import world_from_cube_face
 from sphericalvision.sphere.grids.sphere_grid import SphereGrid, check_values
 from sphericalvision.sphere.grids.tangent import TangentImages
+from sphericalvision.sphere.resampling.merge import pixel_weights, robust_mean
+from sphericalvision.sphere.resampling.reprojection import distances_from
 from sphericalvision.sphere.resampling.resample_tables import resample_tables
-from sphericalvision.sphere.resampling.supersampling import (
-    cell_samples,
-    cell_widths,
-    grid_shape,
-    pixel_solid_angles,
-)
+from sphericalvision.sphere.resampling.scales import log_scales
+from sphericalvision.sphere.resampling.supersampling import cell_widths, grid_shape
 
 __all__ = ["Merged", "Views", "views"]
 
 QUANTITIES = ("values", "range", "z")
-_ROUNDS = 10  # of weighting by agreement
-_FAINTEST = 1e-4  # weight at the border of a view, of that in its middle
-_INFINITY = 1e3  # baselines, beyond which a pair tells no distance
+_INFINITY = 1e3  # baselines, beyond which a pair measures no distance
 
 
 class Merged(NamedTuple):
-    """What several views say together."""
+    """The merged image of several views."""
 
     values: Float[Tensor, "*values"]
     """``(*b, c, *target_shape)``, 0 where not valid."""
@@ -207,19 +201,20 @@ class Views:
                 f"center: expected with depth and mode 'bilinear', got {quantity!r} and {mode!r}"
             )
         target = self.target if target is None else target
-        pairs = [self._seen_in(target, rotation, name, quantity, mode, center) for name in self.rig.names]
-        values, weights = (torch.stack(torch.broadcast_tensors(*part)) for part in zip(*pairs, strict=True))
+        pairs = [self._project_to(target, rotation, name, quantity, mode, center) for name in self.rig.names]
+        values, weights = (torch.stack(torch.broadcast_tensors(*each)) for each in zip(*pairs, strict=True))
         dims = len(grid_shape(target, "target"))
         if is_depth:
+            # Scales of views are factors of their depth: in logarithms they are added, and means are geometric ones.
             values = torch.where(weights > 0, values, 1.0).log()
             if align:
-                values = values + _log_scales(values, weights, dims)
-        merged, spread = _agreed(values, weights, dims)
+                values = values + log_scales(values, weights, dims)
+        merged, spread = robust_mean(values, weights, dims)
         valid = (weights > 0).any(0)
         merged = torch.where(valid, merged.exp() if is_depth else merged, 0.0)
         return Merged(merged, valid.squeeze(-1 - dims), spread.squeeze(-1 - dims))
 
-    def _seen_in(
+    def _project_to(
         self,
         target: SphereGrid | Camera,
         rotation: Tensor | None,
@@ -228,7 +223,7 @@ class Views:
         mode: str,
         center: Tensor | None,
     ) -> tuple[Tensor, Tensor]:
-        """What a view shows in the target ``(*b, c, *target_shape)``, and its weight, 0 where it shows nothing."""
+        """Values of a view in the target ``(*b, c, *target_shape)``, and their weights, 0 where it has none."""
         index = self.rig.names.index(name)
         camera, image = self.rig.cameras[name].to(self.images[index].device), self.images[index]
         target_from_camera = self.rig.world_from_camera[index, :3, :3].to(image.device)
@@ -246,12 +241,13 @@ class Views:
                 depth, in_front = depth_from_z(depth, camera)
                 usable = usable & in_front
             usable = usable & (depth > 0) & depth.isfinite()
-            image = (1 / torch.where(usable, depth, 1.0)).unsqueeze(-3)  # planes stay planes
-        weight = _weights(camera).to(image).expand_as(image[..., :1, :, :])
+            # Inverse depth of a plane is linear in directions, so that interpolated planes stay planes.
+            image = (1 / torch.where(usable, depth, 1.0)).unsqueeze(-3)
+        weight = pixel_weights(camera).to(image).expand_as(image[..., :1, :, :])
         if center is not None:
             pose = self.rig.world_from_camera[index].to(image)
             start = (center.to(image) - pose[:3, 3]) @ pose[:3, :3]
-            return _seen_from(start, target, target_from_camera, camera, image, weight, usable)
+            return distances_from(start, target, target_from_camera, camera, image, weight, usable)
         tables = resample_tables(camera, target, target_from_camera, mode, 0.0, usable, image.device)
         dims = len(tables.target_shape)
         result, seen = tables(torch.cat((image, weight), -3)), tables.mask().unsqueeze(-1 - dims)
@@ -259,64 +255,6 @@ class Views:
         if quantity != "values":
             result_values = 1 / torch.where(seen, result_values, 1.0)
         return result_values, torch.where(seen, weight, 0.0)
-
-
-@torch.no_grad()
-def _seen_from(
-    start: Tensor,
-    target: SphereGrid | Camera,
-    turn: Tensor,
-    camera: Camera,
-    inverse_depth: Tensor,
-    weight: Tensor,
-    usable: Tensor,
-) -> tuple[Tensor, Tensor]:
-    """Distances from a place to the surface of a camera's inverse depth (*b, 1, h, w), and the weights of its pixels.
-
-    Args:
-        start: (3,) of the rays, in the camera's frame.
-        target: whose directions these are.
-        turn: target_from_camera.
-        camera: that looks at the surface.
-        inverse_depth: along its rays.
-        weight: (*b, 1, h, w).
-        usable: (*b, h, w) or (h, w), where the inverse depth is known.
-    """
-    cells = cell_samples(target, 1, inverse_depth.dtype, inverse_depth.device)
-    rays = cells.directions[:, 0] @ turn.to(inverse_depth)
-    valid = usable.to(inverse_depth).expand(inverse_depth.squeeze(-3).shape).unsqueeze(-3)
-    layers = torch.cat((inverse_depth * valid, valid, weight * valid), -3)
-    pairs = [_followed(camera, frame, start, rays) for frame in layers.reshape(-1, *layers.shape[-3:])]
-    shape = (*layers.shape[:-3], 1, *grid_shape(target, "target"))
-    distance, weights = (torch.stack(part).reshape(shape) for part in zip(*pairs, strict=True))
-    if cells.valid is not None:
-        weights = torch.where(cells.valid.view(shape[-2:]), weights, 0.0)
-    return distance, weights
-
-
-def _followed(camera: Camera, layers: Tensor, start: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
-    """Where rays (n, 3) meet the surface of one image, and what that counts, 0 where they meet none.
-
-    Args:
-        camera: that looks at the surface.
-        layers: (3, h, w), inverse depth, whether it is known, and weights.
-        start: (3,) of the rays, in the camera's frame.
-        rays: in the camera's frame, too.
-    """
-
-    def at(directions: Tensor) -> tuple[Tensor, Tensor]:
-        (inverse, coverage, weight), inside = camera.sample(layers, directions)
-        valid = inside & (coverage > 0.5)  # most of the four pixels around
-        coverage = torch.where(valid, coverage, 1.0)
-        return (inverse / coverage).where(valid, math.nan), torch.where(valid, weight / coverage, 0.0)
-
-    largest = float(layers[0].max())
-    if not largest > 0:
-        return torch.zeros_like(rays[:, 0]), torch.zeros_like(rays[:, 0])
-    distance = distance_along(rays, start, lambda directions: at(directions)[0], 1 / largest)
-    met = distance.isfinite()
-    distance = torch.where(met, distance, 1.0)
-    return distance, torch.where(met, at(normalize(start + distance[:, None] * rays))[1], 0.0)
 
 
 def views(
@@ -401,72 +339,3 @@ def _rotations(layout: str | Tensor | Sequence[Sequence[float]]) -> Tensor:
         check_choice("layout", layout, ("cube", "tangent"))
         return world_from_cube_face() if layout == "cube" else TangentImages(0, 2).world_from_patch
     return rotation_from_yaw_pitch_roll(checked_angles("layout", layout)).float()
-
-
-def _weights(camera: Camera) -> Tensor:
-    """How much each pixel counts (h, w): its solid angle, and how far it is from the border of what is seen."""
-    pixels = camera.pixel_grid(torch.float64)
-    directions, valid = camera.unproject(pixels)
-    solid = torch.where(valid, pixel_solid_angles(camera).view(camera.image_size), 0.0)
-    if isinstance(camera, EquirectangularCamera):
-        inside = torch.ones_like(solid)
-    else:
-        height, width = camera.image_size
-        center = pixels.new_tensor([(width - 1) / 2, (height - 1) / 2])
-        inside = (1 - (pixels - center).abs() / (center + 0.5)).amin(-1)
-        inside = inside.minimum(1 - angle_from_axis(directions) / camera.max_angle)
-    return (solid / solid.max() * inside).clamp_min(_FAINTEST)
-
-
-def _agreed(values: Tensor, weights: Tensor, dims: int) -> tuple[Tensor, Tensor]:
-    """Mean over views (n, *b, c, *target), those that disagree counting less, and the deviation from it."""
-    trust = weights
-    for _ in range(2):
-        mean, squared = _mean_and_squares(values, trust, dims)
-        trust = weights * _cauchy(squared, weights, dims)
-    mean, squared = _mean_and_squares(values, trust, dims)
-    return mean, _mean(squared, trust).detach().sqrt()
-
-
-def _mean(values: Tensor, weights: Tensor) -> Tensor:
-    total = weights.sum(0)
-    return (values * weights).sum(0) / torch.where(total > 0, total, 1.0)
-
-
-def _mean_and_squares(values: Tensor, weights: Tensor, dims: int) -> tuple[Tensor, Tensor]:
-    """The mean over views, and squared deviations (n, *b, 1, *target) from it, of all channels."""
-    mean = _mean(values, weights)
-    return mean, (values - mean).detach().square().mean(-1 - dims, keepdim=True)
-
-
-def _cauchy(squared: Tensor, weights: Tensor, dims: int) -> Tensor:
-    """1 / (1 + r² / s²) with the mean s of deviations r where views overlap, of each in the batch."""
-    overlaps = weights * ((weights > 0).sum(0) > 1)
-    across = (0, *range(-1 - dims, 0))
-    deviation = (squared.sqrt() * overlaps).sum(across, keepdim=True)
-    scale = deviation / overlaps.sum(across, keepdim=True).clamp_min(torch.finfo(squared.dtype).tiny)
-    return 1 / (1 + squared / scale.square().clamp_min(torch.finfo(squared.dtype).tiny))
-
-
-def _log_scales(values: Tensor, weights: Tensor, dims: int) -> Tensor:
-    """What to add to each view's logarithms (n, *b, 1, *target) so that they agree, (n, *b, 1, ...); 0 on average.
-
-    Minimises the weighted squares of deviations from the mean of all views, of which a view's share of each place is
-    a graph Laplacian; its weights are those of Cauchy from the second round on, as views see other things at edges.
-    """
-    flat, flat_weights = (
-        part.flatten(-1 - dims).movedim(0, -2).double() for part in (values, weights)
-    )  # (*b, n, V)
-    scales, trust = torch.zeros_like(flat[..., :1]), flat_weights
-    for _ in range(_ROUNDS):
-        total = trust.sum(-2, keepdim=True)
-        fractions = trust / torch.where(total > 0, total, 1.0)
-        laplacian = torch.diag_embed(trust.sum(-1)) - trust @ fractions.mT
-        difference = (trust * ((fractions * flat).sum(-2, keepdim=True) - flat)).sum(-1, keepdim=True)
-        scales = torch.linalg.pinv(laplacian, rtol=1e-9, hermitian=True) @ difference
-        aligned = (flat + scales).detach().movedim(-2, 0)
-        _, squared = _mean_and_squares(aligned.unsqueeze(-2), trust.movedim(-2, 0).unsqueeze(-2), 1)
-        trust = flat_weights * _cauchy(squared, flat_weights.movedim(-2, 0).unsqueeze(-2), 1).squeeze(
-            -2
-        ).movedim(0, -2)
-    return scales.movedim(-2, 0).to(values)[(..., *(None,) * dims)]

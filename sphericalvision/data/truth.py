@@ -106,7 +106,7 @@ def truth_from_points(
         around = rays[thinned], distance[thinned]
         tree = cKDTree(around[0].numpy())
         for part, which in zip(nearest.split(PART), pixel.split(PART), strict=True):
-            depth[which], valid[which] = _on_planes(
+            depth[which], valid[which] = _depth_of_planes(
                 rays[part], distance[part], middles[which], tree, *around, gap, tolerance, noise
             )
     truth = depth.view(size).to(points), valid.view(size).to(points.device)
@@ -188,7 +188,51 @@ def _frames(rays: Tensor) -> tuple[Tensor, Tensor]:
     return right, torch.linalg.cross(rays, right)
 
 
-def _on_planes(
+class _Planes(NamedTuple):
+    """Planes through points, one a pixel, as slopes of relative inverse depth over the offset from the point's ray.
+
+    On the plane n · X = 1 inverse depth is n · d: linear in the direction d. Relative to the point (distance r along
+    its ray e), and without what is the same for every plane, r / r' - e · d' is linear in the offset of d' from e.
+    That leaves two unknowns, the slopes along the two axes of ``_frames``.
+    """
+
+    right: Tensor
+    down: Tensor
+    residual: Tensor
+    """Of each neighbour ``(m, k)``, relative to the distance: above 0 in front of the plane."""
+    weights: Tensor
+    """How much each neighbour is of the plane ``(m, k)``."""
+
+
+def _fit_planes(u: Tensor, v: Tensor, rise: Tensor, within: Tensor, blur: Tensor, gap: float) -> _Planes:
+    """Planes that most neighbours agree with, by iteratively reweighted least squares.
+
+    Args:
+        u: offsets of neighbours to the right ``(m, k)``.
+        v: downwards.
+        rise: r / r' - e · d' of each.
+        within: which neighbours there are.
+        blur: noise of the point's distance ``(m, 1)``, relative.
+        gap: radians.
+    """
+    # Cauchy's weights: wide at first (5 %), so that a start among two surfaces can go to either, then narrow (1 %).
+    weights, residual = within / (1 + (rise / 0.05).square()), rise
+    right = down = torch.zeros_like(rise[:, 0])
+    # A line of points alone tells one slope: this makes the other 0.
+    damping = 1e-4 * gap**2
+    for _ in range(STEPS):
+        # Normal equations of two unknowns, solved by Cramer's rule for all pixels at once.
+        uu = (weights * u * u).sum(1) + damping
+        vv = (weights * v * v).sum(1) + damping
+        uv, ur, vr = (weights * u * v).sum(1), (weights * u * rise).sum(1), (weights * v * rise).sum(1)
+        determinant = uu * vv - uv * uv
+        right, down = (vv * ur - uv * vr) / determinant, (uu * vr - uv * ur) / determinant
+        residual = rise - right[:, None] * u - down[:, None] * v
+        weights = within / (1 + (residual / (0.01 + blur)).square())
+    return _Planes(right, down, residual, weights)
+
+
+def _depth_of_planes(
     rays: Tensor,
     distance: Tensor,
     middles: Tensor,
@@ -199,37 +243,38 @@ def _on_planes(
     tolerance: float,
     noise: float,
 ) -> tuple[Tensor, Tensor]:
-    """Depth along the rays of pixels of the planes around points, and where the rule lets it stand."""
-    near, ids = tree.query(middles.numpy(), k=min(NEIGHBOURS, len(around)), distance_upper_bound=gap)
-    angles, ids = (torch.from_numpy(part).reshape(len(rays), -1) for part in (near, ids))
+    """Depth along the rays of pixels of the planes around points, and where the rule lets it stand.
+
+    Args:
+        rays: ``(m, 3)`` of the points, one for each pixel.
+        distance: ``(m,)`` of the points.
+        middles: ``(m, 3)``, rays of the pixels.
+        tree: of ``around``.
+        around: ``(n, 3)``, rays of all points that may be neighbours.
+        far: ``(n,)``, their distances.
+        gap: as of ``truth_from_points``, like the rest.
+        tolerance: so is this.
+        noise: so is this.
+    """
+    angles, ids = tree.query(middles.numpy(), k=min(NEIGHBOURS, len(around)), distance_upper_bound=gap)
+    angles, ids = (torch.from_numpy(array).reshape(len(rays), -1) for array in (angles, ids))
     within = angles.isfinite()
     ids, angles = ids.where(within, 0), angles.where(within, 0.0)
-    others = around[ids]
-    # On the plane n · X = 1 inverse depth is n · d: linear. Relative to the point (distance r along d) and without
-    # what is the same for every plane, r / r' - d · d' is linear in the offset of d' from d, with two unknowns.
-    along = (others * rays[:, None]).sum(-1)
-    rise = distance[:, None] / far[ids] - along
+    neighbors = around[ids]
+    rise = distance[:, None] / far[ids] - (neighbors * rays[:, None]).sum(-1)
     frame = _frames(rays)
-    u, v = ((others * axis[:, None]).sum(-1) for axis in frame)
-    weights, apart = within / (1 + (rise / 0.05).square()), rise
-    a = b = torch.zeros_like(distance)
+    u, v = ((neighbors * axis[:, None]).sum(-1) for axis in frame)
     blur = noise / distance[:, None]
+    plane = _fit_planes(u, v, rise, within, blur, gap)
     limit = tolerance + 4 * blur
-    for _ in range(STEPS):
-        uu = (weights * u * u).sum(
-            1
-        ) + 1e-4 * gap**2  # a line of points alone tells one slope: the other is 0
-        vv = (weights * v * v).sum(1) + 1e-4 * gap**2
-        uv, ur, vr = (weights * u * v).sum(1), (weights * u * rise).sum(1), (weights * v * rise).sum(1)
-        determinant = uu * vv - uv * uv
-        a, b = (vv * ur - uv * vr) / determinant, (uu * vr - uv * ur) / determinant
-        apart = rise - a[:, None] * u - b[:, None] * v
-        weights = within / (1 + (apart / (0.01 + blur)).square())
-    in_front = (within & (apart > limit)).any(1)
-    behind = (within & (angles < gap / 2) & (apart < -limit)).any(1)
-    mean = ((others - middles[:, None]) * weights[..., None]).sum(1).norm(dim=-1)
-    spread = ((weights * angles.square()).sum(1) * weights.sum(1)).sqrt()
-    changed = (middles * (rays + a[:, None] * frame[0] + b[:, None] * frame[1])).sum(-1)
-    steady = (changed > 0.8) & (changed < 1.25)
-    valid = ~in_front & ~behind & (mean <= ONE_SIDED * spread) & steady
-    return torch.where(valid, distance / changed.clamp(min=0.1), 0.0), valid
+    in_front = (within & (plane.residual > limit)).any(1)
+    behind = (within & (angles < gap / 2) & (plane.residual < -limit)).any(1)
+    # The plane's points lie to one side if their mean is far from the ray, measured by their own spread.
+    mean = ((neighbors - middles[:, None]) * plane.weights[..., None]).sum(1).norm(dim=-1)
+    spread = ((plane.weights * angles.square()).sum(1) * plane.weights.sum(1)).sqrt()
+    tilted = rays + plane.right[:, None] * frame[0] + plane.down[:, None] * frame[1]
+    # Depth of the point over that along the pixel's ray. Of a plane seen at a small angle it changes too fast to be known.
+    ratio = (middles * tilted).sum(-1)
+    is_steady = (ratio > 0.8) & (ratio < 1.25)
+    valid = ~in_front & ~behind & (mean <= ONE_SIDED * spread) & is_steady
+    return torch.where(valid, distance / ratio.clamp(min=0.1), 0.0), valid

@@ -39,6 +39,9 @@ MAX_PIXELS = 2**27
 ORIENTATION = 0x0112
 """Tag of an image file: which way up it is to be shown."""
 
+TIFF = (b"II*\0", b"MM\0*")
+"""How TIFF files begin, of either byte order."""
+
 SIZES_UNKNOWN = (b"II*", b"MM\0*", b"II+", b"MM\0+", b"#?")
 """How files begin whose sizes Pillow does not always know: TIFF in one of its many variants, Radiance HDR."""
 
@@ -282,6 +285,8 @@ def _decoded(path: str | Path, what: str, image_size: Size | None = None) -> lis
     if believed and _chunks_fit(encoded):
         with suppress(cv2.error):
             pages = cv2.imdecodemulti(encoded, cv2.IMREAD_UNCHANGED)[1]
+    if not pages and encoded[:4].tobytes() in TIFF:
+        pages = _half_precision_pages(encoded)
     if not pages:
         raise FileFormatError(
             f"{path}: cannot be read as an image ({encoded.size} bytes); the file is damaged, cut "
@@ -290,6 +295,19 @@ def _decoded(path: str | Path, what: str, image_size: Size | None = None) -> lis
         )
     _check_sizes(path, [(page.shape[0], page.shape[1]) for page in pages], image_size)
     return [np.asarray(page) for page in pages]
+
+
+def _half_precision_pages(encoded: Array) -> list[Array]:
+    """Pages of a TIFF of 16-bit floating point numbers, which OpenCV does not read, as float32; none of other files."""
+    import tifffile  # only files that need it pay for it
+
+    # tifffile raises whatever it meets in a damaged file.
+    with suppress(Exception), tifffile.TiffFile(io.BytesIO(encoded.tobytes())) as file:
+        pages = list(file.pages)
+        pixels = sum(int(np.prod(page.shape)) for page in pages)
+        if pixels <= MAX_PIXELS and all(page.dtype == np.float16 for page in pages):
+            return [page.asarray().astype(np.float32) for page in pages]
+    return []
 
 
 def _sizes(encoded: Array) -> tuple[list[Size], bool]:

@@ -279,6 +279,12 @@ def _as_tensor(name: str, image: Any) -> Tensor:
         raise ArgumentError(
             f"images[{name!r}]: expected values, got a tensor on the device 'meta', which has none"
         )
+    if array.layout != torch.strided:
+        raise ArgumentError(
+            f"images[{name!r}]: expected a dense tensor, got {array.layout}; image.to_dense() makes one"
+        )
+    if not array.numel():
+        raise ShapeError(f"images[{name!r}]: expected one image or more, got shape {tuple(array.shape)}")
     if bits == "8":
         return array
     values = array.float()

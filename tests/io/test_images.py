@@ -75,6 +75,19 @@ def test_pages_of_a_tiff_keep_type_and_values(tmp_path: Path) -> None:
     assert second.dtype == np.float32
 
 
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("kind", ["f2", "f4", "u2"])
+def test_tiffs_of_both_byte_orders_and_of_half_precision_are_read(
+    tmp_path: Path, order: str, kind: str
+) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    values = np.array([[1, 2, 1024], [0, 3, 5]], kind)
+    tifffile.imwrite(tmp_path / "depth.tiff", values.astype(order + kind), byteorder=order)
+    (page,) = read_pages(tmp_path / "depth.tiff")
+    assert page.dtype == (np.uint16 if kind == "u2" else np.float32)
+    assert np.array_equal(page, values)
+
+
 def test_errors_name_file_cause_and_remedy(tmp_path: Path) -> None:
     with pytest.raises(MissingFileError, match=r"nowhere\.png.*frame 3 of cam2 expected"):
         read_image(tmp_path / "nowhere.png", what="frame 3 of cam2")

@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
+from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.core import ArgumentError, ShapeError
@@ -73,6 +75,13 @@ def test_other_cameras_and_sizes_are_refused() -> None:
         intake(images | {"cam2": torch.ones(3, 32, 16)})
     with pytest.raises(ShapeError, match="one size"):
         Intake(RIG.resized({"cam1": (16, 16)}), None)
+
+
+@pytest.mark.parametrize("change", [lambda image: image[None][:0], Tensor.to_sparse])
+def test_images_of_nothing_and_sparse_ones_are_refused_by_name(change: Callable[[Tensor], Tensor]) -> None:
+    images = {name: torch.ones(3, 32, 32) for name in RIG.names}
+    with pytest.raises((ArgumentError, ShapeError), match="cam2"):
+        as_photographs(images | {"cam2": change(images["cam2"])}, RIG)
 
 
 def test_a_network_says_which_it_takes() -> None:

@@ -3,7 +3,6 @@
 
 View i has log depth x_iv at place v of the target, with weight w_iv (0 where it shows nothing). The s_i make least
 
-
     E(s) = Σ_v Σ_i w_iv (x_iv + s_i - m_v)²,   m_v = Σ_j f_jv (x_jv + s_j),   f_jv = w_jv / Σ_k w_kv,
 
 the weighted squares of deviations from the mean of all views. Setting the derivative by each s_i to zero gives the

@@ -273,7 +273,7 @@ def _depth_of_planes(
     mean = ((neighbors - middles[:, None]) * plane.weights[..., None]).sum(1).norm(dim=-1)
     spread = ((plane.weights * angles.square()).sum(1) * plane.weights.sum(1)).sqrt()
     tilted = rays + plane.right[:, None] * frame[0] + plane.down[:, None] * frame[1]
-    # Depth of the point over that along the pixel's ray. Of a plane seen at a small angle it changes too fast to be known.
+    # Depth of the point over that along the pixel's ray, which changes too fast where a plane is seen at a small angle.
     ratio = (middles * tilted).sum(-1)
     is_steady = (ratio > 0.8) & (ratio < 1.25)
     valid = ~in_front & ~behind & (mean <= ONE_SIDED * spread) & is_steady

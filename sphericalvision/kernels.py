@@ -183,10 +183,10 @@ class Operator(Generic[P, R]):
         self,
         readable: Callable[P, R],
         *,
-        cpp: Callable[P, R] | None = None,
-        triton: Callable[P, R] | None = None,
-        cpu: Callable[P, R] | None = None,
-        fused: Callable[P, R] | None = None,
+        cpp: Callable[..., Any] | None = None,
+        triton: Callable[..., Any] | None = None,
+        cpu: Callable[..., Any] | None = None,
+        fused: Callable[..., Any] | None = None,
         differentiable_triton: bool = False,
     ) -> None:
         self.readable = readable

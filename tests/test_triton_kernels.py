@@ -48,28 +48,26 @@ for colors in (guide, None):
 """
 HEXAGONS = """
 import torch
-from sphericalvision.crown.by_lookups import _tap_tables, hex_conv_by_lookups
-from sphericalvision.crown.hexconv import CHART_RINGS, NORTH_RINGS
-from sphericalvision.crown.hexconv_triton import hex_conv_kernel
+from sphericalvision.crown import north_fraction
+from sphericalvision.crown.fast.lookups import hexagons2d, hexagons_in_triton
 
 generator = torch.Generator().manual_seed(0)
-for channels, outputs, stride, rings in ((5, 20, 1, CHART_RINGS), (33, 16, 2, NORTH_RINGS)):
+for channels, outputs, stride, north in ((5, 20, 1, None), (33, 16, 2, north_fraction(1))):
     values = torch.randn(2, channels, 42, generator=generator)
     weight, bias = torch.randn(outputs, channels, 7, generator=generator), torch.randn(outputs, generator=generator)
-    tables = _tap_tables(1, stride, rings, values.device)
-    plain = hex_conv_by_lookups(values, weight, bias, stride, rings)
-    kernel = hex_conv_kernel(values, weight, bias, tables.around, tables.taps)
+    plain = hexagons2d(values, weight, bias, stride, north)
+    kernel = hexagons_in_triton(values, weight, bias, stride, north)
     torch.testing.assert_close(kernel, plain, rtol=1e-4, atol=1e-4)
-    options = {"rectify": True, "residual": torch.randn(plain.shape, generator=generator)}
-    plain = hex_conv_by_lookups(values, weight, None, stride, rings, **options)
+    added = True, torch.randn(plain.shape, generator=generator)
+    plain = hexagons2d(values, weight, None, stride, north, *added)
     values = values.mT.contiguous().mT  # channels may be the fastest in memory
-    kernel = hex_conv_kernel(values, weight, None, tables.around, tables.taps, **options)
+    kernel = hexagons_in_triton(values, weight, None, stride, north, *added)
     torch.testing.assert_close(kernel, plain, rtol=1e-4, atol=1e-4)
 """
 BORDERS = """
 import torch
 import torch.nn.functional as F
-from sphericalvision.crown.border_triton import RepeatBorder
+from sphericalvision.crown.fast.border_triton import RepeatBorder
 
 for size in ((2, 3, 5, 9), (2, 3, 4, 9, 5), (1, 2, 1, 2, 3)):
     images = torch.randn(size, requires_grad=True)
@@ -86,7 +84,7 @@ import triton
 from triton.backends.compiler import GPUTarget
 from triton.compiler import ASTSource
 
-from sphericalvision.crown.hexconv_triton import _kernel
+from sphericalvision.crown.fast.hexconv_triton import _kernel
 
 # As an argument that is 1 is compiled, which strides of values and of what is added are in turn.
 for one, other in product(("value_vertex", "value_channel"), ("residual_vertex", "residual_channel")):

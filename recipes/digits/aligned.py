@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 from sphericalvision.crown import Crown, CrownConv2d
-from sphericalvision.crown.taps import COL_TAPS, convolve
+from sphericalvision.crown.taps import convolve, planar_kernels, repeat_border
 from sphericalvision.models.classifier import SphereClassifier
 
 __all__ = ["AlignedCrownClassifier", "AlignedCrownConv2d"]
@@ -20,8 +20,9 @@ class AlignedCrownConv2d(CrownConv2d):
     """
 
     def forward(self, crown: Crown) -> Crown:
+        kernel, _ = planar_kernels(self.weight)
         col, row = (
-            convolve(part.flatten(0, 1), self.weight, COL_TAPS, self.bias, self.stride).unflatten(0, (-1, 5))
+            convolve(repeat_border(part.flatten(0, 1)), kernel, self.bias, self.stride).unflatten(0, (-1, 5))
             for part in crown
         )
         return Crown(col, row)

@@ -120,7 +120,7 @@ def _forward(net: DepthNetwork, rig: CameraRig, batch: int, device: torch.device
     ways: dict[str, Callable[[], AbstractContextManager[Any]]] = {
         "float32": nullcontext,
         "float32, hexagons by operators of torch": partial(
-            mock.patch, "sphericalvision.crown.by_lookups.use_triton", return_value=False
+            mock.patch, "sphericalvision.kernels.runs_triton", return_value=False
         ),
         "bfloat16": partial(reduced, torch.bfloat16),
         "float16": partial(reduced, torch.float16),

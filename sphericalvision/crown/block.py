@@ -9,12 +9,12 @@ from torch import Tensor, nn
 
 from sphericalvision.core import ShapeError, check_dtype
 from sphericalvision.crown.conv import CrownConv2d, CrownConv3d, convolve_crown
-from sphericalvision.crown.fast import normalize
+from sphericalvision.crown.fast import normalize_and_convolve
 from sphericalvision.crown.layout import Crown, check_crown, from_crown, to_crown
 from sphericalvision.crown.norm import _CrownBatchNorm, crown_norm
 from sphericalvision.crown.places import check_values
 from sphericalvision.crown.recompute import RecomputedModule
-from sphericalvision.kernels import uses_reference_kernels
+from sphericalvision.kernels import Operator
 
 __all__ = ["CrownBlock3d", "CrownConvNorm2d", "CrownConvNorm3d", "convolve_twice", "crown_block3d"]
 
@@ -29,10 +29,22 @@ class _CrownConvNorm(nn.Module):
     def forward(self, crown: Crown) -> Crown:
         check_crown(crown)
         check_dtype("crown", crown.col, self.conv.weight)
-        if self.norm.is_affine and not uses_reference_kernels():  # one step in place of two
-            weight, bias = self.norm.folded(self.conv.weight)
-            return convolve_crown(crown, weight, bias, self.conv.stride, self.relu)
-        return self.norm.normalize(self.conv(crown), self.relu)
+        return _convolve_and_normalize(crown, self)
+
+
+def _conv_then_norm(crown: Crown, layer: _CrownConvNorm) -> Crown:
+    return layer.norm.normalize(layer.conv(crown), layer.relu)
+
+
+def _folded_conv(crown: Crown, layer: _CrownConvNorm) -> Crown:
+    """One step in place of two, where the normalisation is a product and a sum."""
+    if not layer.norm.is_affine:
+        return NotImplemented
+    weight, bias = layer.norm.folded(layer.conv.weight)
+    return convolve_crown(crown, weight, bias, layer.conv.stride, layer.relu)
+
+
+_convolve_and_normalize = Operator(_conv_then_norm, cpu=_folded_conv, fused=_folded_conv)
 
 
 class CrownConvNorm2d(_CrownConvNorm):
@@ -86,24 +98,34 @@ def convolve_twice(
     The same as ``second(first(crown))``. Where operators are in use, neither the crown of values nor, while there are
     statistics to take, the normalised crown between the layers is written, or kept for the backward pass.
     """
+    check_dtype("crown", given if isinstance(given, Tensor) else given.col, first.conv.weight)
+    return _convolve_twice(given, first, second)
+
+
+def _one_after_the_other(
+    given: Crown | Tensor, first: _CrownConvNorm, second: _CrownConvNorm | CrownConv2d | CrownConv3d
+) -> Crown:
+    return second(first(to_crown(given) if isinstance(given, Tensor) else given))  # type: ignore[no-any-return]
+
+
+def _without_what_lies_between(
+    given: Crown | Tensor, first: _CrownConvNorm, second: _CrownConvNorm | CrownConv2d | CrownConv3d
+) -> Crown:
     conv, norm = first.conv, first.norm
-    check_dtype("crown", given if isinstance(given, Tensor) else given.col, conv.weight)
     after = second.conv if isinstance(second, _CrownConvNorm) else second
-    fits = first.relu and after.stride == 1 and after.weight.shape[1] == conv.weight.shape[0]
-    if not fits or uses_reference_kernels():
-        return second(first(to_crown(given) if isinstance(given, Tensor) else given))  # type: ignore[no-any-return]
+    if not first.relu or after.stride != 1 or after.weight.shape[1] != conv.weight.shape[0]:
+        return NotImplemented
     if norm.is_affine:
         weight, bias = norm.folded(conv.weight)
         return second(convolve_crown(given, weight, bias, conv.stride, relu=True))  # type: ignore[no-any-return]
     between = convolve_crown(given, conv.weight, conv.bias, conv.stride)
-    pair = normalize(*between, norm, norm.per_sample, True, (after.weight, after.bias))
-    if pair is None:
-        return second(norm.normalize(between, relu=True))  # type: ignore[no-any-return]
-    return (
-        second.norm.normalize(Crown(*pair), second.relu)
-        if isinstance(second, _CrownConvNorm)
-        else Crown(*pair)
-    )
+    crown = Crown(*normalize_and_convolve(*between, norm, True, after.weight, after.bias))
+    return second.norm.normalize(crown, second.relu) if isinstance(second, _CrownConvNorm) else crown
+
+
+_convolve_twice = Operator(
+    _one_after_the_other, cpu=_without_what_lies_between, fused=_without_what_lies_between
+)
 
 
 def crown_block3d(

@@ -6,33 +6,27 @@ from __future__ import annotations
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError, check_dtype, check_tensor
+from sphericalvision.core import ArgumentError, ShapeError, check_dtype
 from sphericalvision.crown.fast import convolve_rectangles, convolve_vertices
-from sphericalvision.crown.layout import Crown, check_crown, to_crown
-from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, HexagonWeights, planar_kernels
-from sphericalvision.kernels import prefer_fused
+from sphericalvision.crown.layout import Crown, check_crown
+from sphericalvision.crown.taps import HexagonWeights
+from sphericalvision.shapes import check_shapes
 
 __all__ = ["CrownConv2d", "CrownConv3d", "convolve_crown", "crown_conv2d", "crown_conv3d"]
 
 
-def _check_weight(weight: Tensor, taps: int, channels: int) -> None:
-    check_tensor("weight", weight, f"(out, in, {taps})")
-    if weight.ndim != 3 or weight.shape[-1] != taps:
-        raise ShapeError(f"weight: expected shape (out, in, {taps}), got {tuple(weight.shape)}")
-    if weight.shape[1] != channels:
-        raise ShapeError(f"crown: expected {weight.shape[1]} channels (dimension 2), got {channels}")
-
-
-def _check_conv(crown: Crown, weight: Tensor, bias: Tensor | None, spatial_dims: int, stride: int) -> None:
+def _check_conv(crown: Crown, weight: Tensor, spatial_dims: int, stride: int) -> None:
     check_crown(crown, spatial_dims)
-    _check_weight(weight, 7 if spatial_dims == 2 else 21, crown.col.shape[2])
+    if weight.shape[1] != crown.col.shape[2]:
+        raise ShapeError(
+            f"crown: expected {weight.shape[1]} channels (dimension 2), got {crown.col.shape[2]}"
+        )
     check_dtype("crown", crown.col, weight)
-    if bias is not None and tuple(bias.shape) != (len(weight),):
-        raise ShapeError(f"bias: expected shape ({len(weight)},) as the weight has, got {tuple(bias.shape)}")
     if stride not in (1, 2) or (stride == 2 and crown.level == 0):
         raise ArgumentError(f"stride: expected 1, or 2 above level 0, got {stride} at level {crown.level}")
 
 
+@check_shapes
 def crown_conv2d(
     crown: Crown,
     weight: Float[Tensor, "C_out C_in 7"],
@@ -63,10 +57,11 @@ def crown_conv2d(
         >>> crown_conv2d(to_crown(torch.ones(1, 4, 42)), torch.ones(8, 4, 7), stride=2).col.shape
         torch.Size([1, 5, 8, 3, 2])
     """
-    _check_conv(crown, weight, bias, 2, stride)
+    _check_conv(crown, weight, 2, stride)
     return convolve_crown(crown, weight, bias, stride)
 
 
+@check_shapes
 def crown_conv3d(
     crown: Crown,
     weight: Float[Tensor, "C_out C_in 21"],
@@ -91,7 +86,7 @@ def crown_conv3d(
         >>> crown_conv3d(to_crown(torch.ones(1, 4, 16, 42)), torch.ones(8, 4, 21)).row.shape
         torch.Size([1, 5, 8, 16, 3, 5])
     """
-    _check_conv(crown, weight, bias, 3, stride)
+    _check_conv(crown, weight, 3, stride)
     return convolve_crown(crown, weight, bias, stride)
 
 
@@ -100,19 +95,11 @@ def convolve_crown(
 ) -> Crown:
     """Convolve both kinds of rectangles, each with its arrangement of the taps, and rectify them if asked for.
 
-    Values at vertices may stand for their crown, which then need not be made where operators lay out while they read.
+    Accepts vertex values as well: operators in C++ read them without building the crown.
     """
     if isinstance(crown, Tensor):
-        pair = convolve_vertices(crown, weight, bias, relu) if stride == 1 else None
-        if pair is not None:
-            return Crown(*pair)
-        crown = to_crown(crown)
-    kernels = planar_kernels(weight) if prefer_fused(crown.col.device) else (None, None)
-    col, row = (
-        convolve_rectangles(rectangles, weight, taps, bias, stride, relu=relu, kernel=kernel)
-        for rectangles, taps, kernel in zip(crown, (COL_TAPS, ROW_TAPS), kernels, strict=True)
-    )
-    return Crown(col, row)
+        return Crown(*convolve_vertices(crown, weight, bias, stride, relu))
+    return Crown(*convolve_rectangles(*crown, weight, bias, stride, relu))
 
 
 class _CrownConv(HexagonWeights):

@@ -30,7 +30,6 @@ of the icosahedron.
 
 from __future__ import annotations
 
-import math
 from functools import lru_cache
 
 import torch
@@ -38,24 +37,16 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_dtype, check_tensor
-from sphericalvision.crown.by_lookups import Rings, hex_conv_by_lookups
-from sphericalvision.crown.fast import convolve_charts, convolve_rectangles
-from sphericalvision.crown.hexpad import fill_charts, hex_pad, ring_values, vertices_of_charts
-from sphericalvision.crown.places import check_values
-from sphericalvision.crown.taps import COL_TAPS, HexagonWeights
+from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_dtype
+from sphericalvision.crown.fast import hex_convolve2d, hex_convolve3d
+from sphericalvision.crown.taps import HexagonWeights
 from sphericalvision.icosphere import icosphere_vertices, level_from_num_vertices
-from sphericalvision.icosphere.topology import coarse_vertex_ids, vertex_at
-from sphericalvision.kernels import prefer_fused
-from sphericalvision.tables import constant_table
+from sphericalvision.icosphere.topology import vertex_at
+from sphericalvision.shapes import check_shapes
 
 __all__ = ["HexConv2d", "HexConv3d", "hex_conv2d", "hex_conv3d", "north_fraction"]
 
 ORIENTATIONS = ("chart", "north")
-
-# Taps of the five neighbours in the order of ``ring_ids``, then the tap of the gap, at north pole, A, B, south pole.
-CHART_RINGS = ((2, 3, 4, 5, 0, 1), (1, 2, 3, 4, 5, 0), (3, 4, 5, 0, 1, 2), (5, 0, 1, 2, 3, 4))
-NORTH_RINGS = ((2, 3, 4, 0, 1, 5), (0, 1, 3, 4, 5, 2), (2, 3, 4, 0, 1, 5), (4, 0, 1, 2, 3, 5))
 
 
 def north_fraction(
@@ -104,17 +95,18 @@ def _north_fraction(level: int) -> Tensor:
         return torch.atan2(turned, (flat_start * flat_end).sum(-1))
 
     fraction = (angle(up, north) / angle(up, left)).clamp(0, 1)
-    # At vertices of valence five the two neighbours are none of a hexagon's: `NORTH_RINGS` turns their taps instead.
+    # At vertices of valence five the two neighbours are none of a hexagon's: `NORTH_RINGS` turns their taps.
     fraction[:, n - 1 :: n, 0] = 0
     return F.pad(fraction.flatten(), (1, 1))
 
 
+@check_shapes
 def hex_conv2d(
     values: Float[Tensor, "B C_in V"],
     weight: Float[Tensor, "C_out C_in 7"],
     bias: Float[Tensor, " C_out"] | None = None,
     stride: int = 1,
-    north: Float[Tensor, " V"] | None = None,
+    north: Float[Tensor, " V_north"] | None = None,
     rectify: bool = False,
     residual: Float[Tensor, "B C_out V_out"] | None = None,
 ) -> Float[Tensor, "B C_out V_out"]:
@@ -144,36 +136,17 @@ def hex_conv2d(
         >>> hex_conv2d(torch.ones(1, 4, 162), torch.ones(8, 4, 7), stride=2).shape
         torch.Size([1, 8, 42])
     """
-    _check_conv(values, weight, 2, stride, north)
-    if north is None and prefer_fused(values.device):
-        return hex_conv_by_lookups(values, weight, bias, stride, CHART_RINGS, rectify, residual)
-    result = _hex_conv2d(values.relu() if rectify else values, weight, bias, stride, north)
-    return result if residual is None else residual + result
+    _check_conv(values, weight, stride, north)
+    return hex_convolve2d(values, weight, bias, stride, north, rectify, residual)
 
 
-def _hex_conv2d(
-    values: Tensor, weight: Tensor, bias: Tensor | None, stride: int, north: Tensor | None
-) -> Tensor:
-    if north is not None and prefer_fused(values.device):
-        both = hex_conv_by_lookups(values, *_two_orientations(weight, bias), stride, NORTH_RINGS)
-        fraction = north.to(both)  # of another type than the values in autocast
-        if stride == 2:
-            fraction = fraction[coarse_vertex_ids(level_from_num_vertices(len(north)), north.device)]
-        along, next_one = both.chunk(2, 1)
-        return torch.lerp(along, next_one, fraction)
-    own, rings = _own_and_rings(values, weight, bias, stride, north)
-    # The twelve vertices of valence five: what each tap reads of their rings, then one product with all taps.
-    special = torch.einsum("bivj,vjt->bvit", rings, _ring_weights(rings, north)).flatten(2)
-    special = (special @ weight.flatten(1).T).mT
-    return fill_charts(own, special if bias is None else special + bias[:, None])
-
-
+@check_shapes
 def hex_conv3d(
     values: Float[Tensor, "B C_in N V"],
     weight: Float[Tensor, "C_out C_in 21"],
     bias: Float[Tensor, " C_out"] | None = None,
     stride: int = 1,
-    north: Float[Tensor, " V"] | None = None,
+    north: Float[Tensor, " V_north"] | None = None,
 ) -> Float[Tensor, "B C_out N V_out"]:
     """Convolve volumes on an icosphere with seven taps at three neighbouring hypotheses.
 
@@ -197,99 +170,20 @@ def hex_conv3d(
         >>> hex_conv3d(torch.ones(1, 4, 16, 42), torch.ones(8, 4, 21)).shape
         torch.Size([1, 8, 16, 42])
     """
-    _check_conv(values, weight, 3, stride, north)
-    own, rings = _own_and_rings(values, weight, bias, stride, north)
-    windows = _repeat_ends(rings).unfold(2, 3, 1)  # three hypotheses for each, a view
-    special = torch.einsum("binvjd,vjt->bnvidt", windows, _ring_weights(rings, north)).flatten(3)
-    special = (special @ weight.flatten(1).T).permute(0, 3, 1, 2)
-    return fill_charts(own, special if bias is None else special + bias[:, None, None])
+    _check_conv(values, weight, stride, north)
+    return hex_convolve3d(values, weight, bias, stride, north)
 
 
-def _repeat_ends(values: Tensor) -> Tensor:
-    """Repeat the first and the last hypothesis of values ``(B, C, N, *)``."""
-    return torch.cat((values[:, :, :1], values, values[:, :, -1:]), 2)
-
-
-def _own_and_rings(
-    values: Tensor, weight: Tensor, bias: Tensor | None, stride: int, north: Tensor | None
-) -> tuple[Tensor, Tensor]:
-    """What charts own, convolved, or between two neighbouring orientations; and the rings of the special vertices."""
-    fraction = _own_fraction(north, values, stride)
-    if fraction is not None:
-        weight, bias = _two_orientations(weight, bias)
-    own = convolve_charts(values, weight, bias, vertices_of_charts) if stride == 1 else None
-    if own is not None:
-        rings = ring_values(values)
-    else:
-        charts, rings = hex_pad(values)
-        charts = charts[..., stride - 1 :, :]  # a coarser chart begins at the second row of the finer one
-        own = convolve_rectangles(charts, weight, COL_TAPS, bias, stride, border=True)
-    if fraction is None:  # taps follow the chart
-        return own, rings
-    along, next_one = own.chunk(2, 2)
-    return torch.lerp(along, next_one, fraction.to(own)), rings
-
-
-def _two_orientations(weight: Tensor, bias: Tensor | None) -> tuple[Tensor, Tensor | None]:
-    """Kernels of two convolutions, for north lies between two neighbours.
-
-    One has the kernel as it is, with tap 5 on the neighbour before, the other has it turned on by one neighbour, and
-    each vertex goes its own fraction from one to the other.
-    """
-    turned = turned_on(weight.unflatten(-1, (-1, 7))).flatten(2)
-    return torch.cat((weight, turned)), None if bias is None else bias.repeat(2)
-
-
-def turned_on(kernels: Float[Tensor, "*filters 7"]) -> Float[Tensor, "*filters 7"]:
-    """Turn kernels ``(*, 7)`` on by one neighbour.
-
-    Examples:
-        >>> turned_on(torch.arange(7))
-        tensor([5, 0, 1, 2, 3, 4, 6])
-    """
-    return torch.cat((kernels[..., :6].roll(1, -1), kernels[..., 6:]), -1)
-
-
-def _own_fraction(north: Tensor | None, values: Tensor, stride: int) -> Tensor | None:
-    """View ``(V,)`` as what charts own and the stride keeps, ``(5, 1, [1,] rows, columns)``."""
-    if north is None:
-        return None
-    n = math.isqrt((values.shape[-1] - 2) // 10)
-    charts = north[1:-1].view(5, *(1,) * (values.ndim - 2), 2 * n, n)
-    return charts[..., stride - 1 :: stride, ::stride]
-
-
-def _ring_weights(like: Tensor, north: Tensor | None) -> Tensor:
-    return _taps_of_rings(CHART_RINGS if north is None else NORTH_RINGS, like.dtype, like.device)
-
-
-@constant_table
-def _taps_of_rings(rings: Rings, dtype: torch.dtype, device: torch.device) -> Tensor:
-    """What each tap of the twelve special vertices reads of their rings, ``(12, 6, 7)``.
-
-    Values are brought to the taps, not weights to the rings, which are many more.
-    """
-    pole_north, a, b, pole_south = rings
-    taps = torch.tensor((pole_north, *(a, b) * 5, pole_south), device=device)
-    of_tap = torch.eye(7, dtype=dtype, device=device)
-    neighbors = of_tap[taps[:, :5]] + of_tap[taps[:, 5:]] / 5  # each has its share of the mean in the gap
-    return torch.cat((neighbors, of_tap[6].expand(12, 1, 7)), 1)
-
-
-def _check_conv(values: Tensor, weight: Tensor, spatial_dims: int, stride: int, north: Tensor | None) -> None:
-    level = check_values(values, spatial_dims)
-    taps = 7 if spatial_dims == 2 else 21
-    check_tensor("weight", weight, f"(out, in, {taps})")
+def _check_conv(values: Tensor, weight: Tensor, stride: int, north: Tensor | None) -> None:
+    """Raise unless a level, a type and a stride fit: what no annotation says."""
+    level = level_from_num_vertices(values.shape[-1])
     check_dtype("values", values, weight)
-    if weight.ndim != 3 or weight.shape[-1] != taps:
-        raise ShapeError(f"weight: expected shape (out, in, {taps}), got {tuple(weight.shape)}")
-    if weight.shape[1] != values.shape[1]:
-        raise ShapeError(f"values: expected {weight.shape[1]} channels (dimension 1), got {values.shape[1]}")
     if stride not in (1, 2) or (stride == 2 and level == 0):
         raise ArgumentError(f"stride: expected 1, or 2 above level 0, got {stride} at level {level}")
-    if north is not None and tuple(north.shape) != (values.shape[-1],):
+    if north is not None and len(north) != values.shape[-1]:
         raise ShapeError(
-            f"north: expected north_fraction({level}) of shape ({values.shape[-1]},), got {tuple(north.shape)}"
+            f"values: expected level {level_from_num_vertices(len(north))}, that of the layer's orientation from "
+            f"north, got level {level}, shape {tuple(values.shape)}"
         )
 
 

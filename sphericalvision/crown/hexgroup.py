@@ -25,7 +25,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from sphericalvision.core import ShapeError
-from sphericalvision.crown.hexconv import hex_conv2d, north_fraction, turned_on
+from sphericalvision.crown.hexagons import turned_on
+from sphericalvision.crown.hexconv import hex_conv2d, north_fraction
 
 __all__ = ["HexGroupConv2d", "HexLiftConv2d", "hex_group_conv2d", "hex_lift_conv2d"]
 

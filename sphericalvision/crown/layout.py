@@ -17,18 +17,8 @@ from jaxtyping import Float, Num
 from torch import Tensor
 
 from sphericalvision.core import ArgumentTypeError, ShapeError, check_floating
-from sphericalvision.crown.by_lookups import fold_by_lookups, unfold_by_lookups
-from sphericalvision.crown.fast import slices_pay
-from sphericalvision.crown.places import (
-    as_rectangles,
-    check_values,
-    level_of_rectangles,
-    places_per_vertex,
-    sum_over_places,
-    values_at_places,
-)
-from sphericalvision.crown.unfolding import mean_over_places, unfold
-from sphericalvision.kernels import prefer_fused
+from sphericalvision.crown.fast import fold, unfold
+from sphericalvision.crown.places import check_values, level_of_rectangles
 
 __all__ = ["Crown", "crown_map", "crown_relu", "exchange", "from_crown", "to_crown"]
 
@@ -107,10 +97,8 @@ def to_crown(values: Num[Tensor, "B C *N V"]) -> Crown:
                 [ 1.,  4.],
                 [ 2., 11.]])
     """
-    level = check_values(values)
-    if prefer_fused(values.device):
-        return Crown(*as_rectangles(unfold_by_lookups(values), level))
-    return Crown(*(unfold(values) if slices_pay(values) else values_at_places(values)))
+    check_values(values)
+    return Crown(*unfold(values))
 
 
 def from_crown(crown: Crown) -> Float[Tensor, "B C *N V"]:
@@ -130,11 +118,7 @@ def from_crown(crown: Crown) -> Float[Tensor, "B C *N V"]:
     """
     check_crown(crown)
     check_floating("crown", crown.col)
-    if prefer_fused(crown.col.device):
-        return fold_by_lookups(*crown)
-    if slices_pay(crown.col):
-        return mean_over_places(*crown)
-    return sum_over_places(*crown) / places_per_vertex(crown.level, crown.col)
+    return fold(*crown)
 
 
 def exchange(crown: Crown) -> Crown:

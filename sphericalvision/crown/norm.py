@@ -4,29 +4,21 @@
 from __future__ import annotations
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 from torch.nn.modules.batchnorm import _BatchNorm
 
 from sphericalvision.core import ShapeError, check_choice, check_dtype
 from sphericalvision.crown.fast import normalize
 from sphericalvision.crown.layout import Crown, check_crown, crown_map, crown_relu
-from sphericalvision.kernels import prefer_fused
-from sphericalvision.tables import constant_table
+from sphericalvision.crown.statistics import CrownNorm
 
 __all__ = ["CrownBatchNorm2d", "CrownBatchNorm3d", "CrownInstanceNorm2d", "CrownInstanceNorm3d", "crown_norm"]
 
 
-class _CrownBatchNorm(_BatchNorm):
+class _CrownBatchNorm(CrownNorm):
     """Batch normalisation whose statistics count every place, border vertices as often as they occur."""
 
     spatial_dims: int
-    per_sample = False
-    groups = 1
-    """In how many groups, one after another, samples come to training, of which each has statistics of its own."""
-
-    def _check_input_dim(self, input: Tensor) -> None:
-        """Accept all: the crown is checked as a whole in ``forward``."""
 
     def forward(self, crown: Crown) -> Crown:  # type: ignore[override]
         return self.normalize(crown)
@@ -40,59 +32,11 @@ class _CrownBatchNorm(_BatchNorm):
             )
         if self.affine:
             check_dtype("crown", crown.col, self.weight)
-        pair = None if self.is_affine else normalize(*crown, self, self.per_sample, relu)
-        if pair is not None:
-            return Crown(*pair)
-        return self._plainly(crown, relu)
-
-    def _plainly(self, crown: Crown, relu: bool) -> Crown:
-        if self.is_affine:
-            normalized = crown_map(lambda r: self._layer(r.flatten(0, 1).flatten(-2)).view(r.shape), crown)
-            return crown_relu(normalized) if relu else normalized
-        if self.groups > 1:
-            return self._by_groups(crown, relu)
-        # Both kinds of rectangle have as many places: with the places in one dimension they are one batch.
-        col, row = (rectangles.flatten(0, 1).flatten(-2) for rectangles in crown)
-        both = self._layer(torch.cat((col, row)))
-        both = both.relu() if relu else both
-        col, row = both.chunk(2)  # unlike unbind, its gradient keeps the channels innermost in memory
-        return Crown(col.view(crown.col.shape), row.view(crown.row.shape))
-
-    def _by_groups(self, crown: Crown, relu: bool) -> Crown:
-        """Normalise groups by statistics of their own, all at once: channels of all groups are those of one batch.
-
-        Running statistics take a step for each group, as if one came after the other.
-        """
-        assert self.running_mean is not None
-        assert self.running_var is not None
-        assert self.num_batches_tracked is not None
-        assert self.momentum is not None
-        number = self.groups
-        parts = [
-            rectangles.flatten(3).unflatten(0, (number, -1)).permute(1, 2, 0, 3, 4) for rectangles in crown
-        ]
-        together = torch.cat(parts, 1)  # (B, 10, groups, C, places)
-        mean, variance = (self.running_mean.new_zeros(number * self.num_features) for _ in range(2))
-        weight, bias = (None if x is None else x.repeat(number) for x in (self.weight, self.bias))
-        # A step all the way makes running statistics of nothing those of the batch.
-        flat = F.batch_norm(
-            together.flatten(2, 3).flatten(0, 1), mean, variance, weight, bias, True, 1.0, self.eps
-        )
-        flat = flat.relu() if relu else flat
-        left, steps = (1 - self.momentum) ** number, _steps(number, self.momentum, mean.dtype, mean.device)
-        with torch.no_grad():
-            for running, batch in ((self.running_mean, mean), (self.running_var, variance)):
-                taken = torch.addmv(running, batch.view(number, -1).mT, steps, beta=left)
-                running.copy_(taken)
-            self.num_batches_tracked.add_(number)
-        normalized = flat.view(together.shape).permute(2, 0, 1, 3, 4).flatten(0, 1)
-        return Crown(
-            *(x.unflatten(-1, like.shape[3:]) for x, like in zip(normalized.split(5, 1), crown, strict=True))
-        )
-
-    def _layer(self, values: Tensor) -> Tensor:
-        """The layer of torch."""
-        return super().forward(values)
+        if not self.is_affine:
+            return Crown(*normalize(*crown, self, relu))
+        layer = _BatchNorm.forward  # of torch
+        normalized = crown_map(lambda r: layer(self, r.flatten(0, 1).flatten(-2)).view(r.shape), crown)
+        return crown_relu(normalized) if relu else normalized
 
     @property
     def is_affine(self) -> bool:
@@ -108,13 +52,6 @@ class _CrownBatchNorm(_BatchNorm):
             scale = scale * self.weight
         bias = torch.zeros_like(scale) if self.bias is None else self.bias
         return weight * scale[:, None, None], torch.addcmul(bias, self.running_mean, scale, value=-1)
-
-
-@constant_table
-def _steps(number: int, momentum: float, dtype: torch.dtype, device: torch.device) -> Tensor:
-    """Weights of groups in running statistics that take a step for each, the last one the largest."""
-    ages = torch.arange(number - 1, -1, -1, device=device)
-    return (momentum * (1 - momentum) ** ages.double()).to(dtype)
 
 
 class CrownBatchNorm2d(_CrownBatchNorm):
@@ -162,26 +99,6 @@ class _CrownInstanceNorm(_CrownBatchNorm):
 
     def __init__(self, num_features: int, eps: float = 1e-5) -> None:
         super().__init__(num_features, eps, track_running_stats=False)
-
-    def _plainly(self, crown: Crown, relu: bool) -> Crown:
-        # Channels of all samples side by side are the channels of one batch, of ten rectangles.
-        batch = crown.col.shape[0]  # not `len`, which would make it a constant of an exported program
-        if not batch:
-            return crown
-        if prefer_fused(crown.col.device):  # a group for each channel
-            together = torch.cat([rectangles.transpose(1, 2).flatten(-2) for rectangles in crown], 2)
-            normalized = F.group_norm(together, self.num_features, self.weight, self.bias, self.eps)
-            normalized = normalized.relu() if relu else normalized
-            col, row = normalized.transpose(1, 2).split(5, 1)
-            return Crown(
-                *(x.unflatten(-1, like.shape[-2:]) for x, like in zip((col, row), crown, strict=True))
-            )
-        together = torch.cat([rectangles.flatten(-2) for rectangles in crown], 1).transpose(0, 1)
-        weight, bias = (None if x is None else x.repeat(batch) for x in (self.weight, self.bias))
-        normalized = F.batch_norm(together.flatten(1, 2), None, None, weight, bias, True, eps=self.eps)
-        normalized = normalized.relu() if relu else normalized
-        col, row = normalized.unflatten(1, (batch, -1)).transpose(0, 1).split(5, 1)
-        return Crown(col.reshape(crown.col.shape), row.reshape(crown.row.shape))
 
 
 class CrownInstanceNorm2d(_CrownInstanceNorm):

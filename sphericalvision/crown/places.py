@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which vertex stands at which place of a crown, and values looked up at, or summed over, these places."""
+"""The vertices at all places of a crown; values at these places, and the mean of each vertex over its places."""
 
 from __future__ import annotations
 
 import torch
-from jaxtyping import Int, Num, Shaped
+from jaxtyping import Float, Int, Num, Shaped
 from torch import Tensor
 
 from sphericalvision.core import ShapeError, check_tensor
@@ -16,10 +16,9 @@ __all__ = [
     "as_rectangles",
     "check_values",
     "level_of_rectangles",
+    "mean_over_places",
     "own_charts",
     "place_ids",
-    "places_per_vertex",
-    "sum_over_places",
     "values_at_places",
 ]
 
@@ -59,12 +58,6 @@ def place_ids(level: int, device: torch.device | None = None) -> Int[Tensor, "10
     return torch.cat((chart_vertex_ids(level, device).flatten(1), rows.flatten(1)))
 
 
-def places_per_vertex(level: int, like: Num[Tensor, " ..."]) -> Num[Tensor, " V"]:
-    """Number of places ``(V,)`` in the crown that each vertex stands in."""
-    ids = place_ids(level, like.device).flatten()
-    return like.new_zeros(num_icosphere_vertices(level)).index_add(0, ids, like.new_ones(len(ids)))
-
-
 def values_at_places(
     values: Num[Tensor, "B C *N V"],
 ) -> tuple[Num[Tensor, "B 5 C *N long short"], Num[Tensor, "B 5 C *N short long"]]:
@@ -82,12 +75,12 @@ def as_rectangles(
     return col.unflatten(-1, (2 * n + 1, n + 1)), row.unflatten(-1, (n + 1, 2 * n + 1))
 
 
-def sum_over_places(
-    col: Num[Tensor, "B 5 C *N long short"], row: Num[Tensor, "B 5 C *N short long"]
-) -> Num[Tensor, "B C *N V"]:
-    """Sum each vertex over all its places, ``(B, C, [N,] V)``: the adjoint of ``values_at_places``."""
+def mean_over_places(
+    col: Float[Tensor, "B 5 C *N long short"], row: Float[Tensor, "B 5 C *N short long"]
+) -> Float[Tensor, "B C *N V"]:
+    """Return the mean ``(B, C, [N,] V)`` of each vertex over all its places."""
     level = level_of_rectangles(col)
     places = torch.cat((col.flatten(-2), row.flatten(-2)), 1).movedim(1, -2).flatten(-2)
-    ids = place_ids(level, col.device).flatten().expand(places.shape)
-    values = places.new_zeros((*places.shape[:-1], num_icosphere_vertices(level)))
-    return values.scatter_add(-1, ids, places)
+    ids, size = place_ids(level, col.device).flatten(), num_icosphere_vertices(level)
+    sums = places.new_zeros((*places.shape[:-1], size)).scatter_add(-1, ids.expand(places.shape), places)
+    return sums / places.new_zeros(size).index_add(0, ids, places.new_ones(len(ids)))

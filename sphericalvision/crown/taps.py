@@ -8,6 +8,7 @@ depends on the kind of rectangle: the taps are the same directions on the sphere
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import torch
 import torch.nn.functional as F
@@ -15,7 +16,6 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, check_counts
-from sphericalvision.kernels import use_triton
 from sphericalvision.tables import constant_table
 
 __all__ = [
@@ -25,8 +25,8 @@ __all__ = [
     "Taps",
     "check_hexagon",
     "convolve",
+    "convolve_rectangles",
     "neighbor_taps",
-    "planar_kernel",
     "planar_kernels",
     "repeat_border",
 ]
@@ -36,9 +36,6 @@ Taps = tuple[tuple[int, ...], ...]
 # Taps 0 to 5 go round the centre, tap 6; 7 stands for a zero at the two corners that are no neighbours.
 COL_TAPS: Taps = ((7, 5, 4), (0, 6, 3), (1, 2, 7))
 ROW_TAPS: Taps = ((7, 0, 5), (1, 6, 4), (2, 3, 7))
-
-LARGE = 1 << 20
-"""Values from which memory, and not the launch, is what the continuation of a border takes."""
 
 
 def check_hexagon(stride: int, kernel_size: object = None) -> None:
@@ -82,16 +79,10 @@ class HexagonWeights(nn.Module):
         return f"{in_channels}, {out_channels}, stride={self.stride}, bias={self.bias is not None}"
 
 
-def planar_kernel(weight: Float[Tensor, "*filters 7"], taps: Taps) -> Float[Tensor, "*filters 3 3"]:
-    """Arrange seven taps ``(*, 7)`` as a planar kernel ``(*, 3, 3)``."""
-    by_tap = F.pad(weight, (0, 1)).unbind(-1)
-    return torch.stack([by_tap[tap] for row in taps for tap in row], -1).unflatten(-1, (3, 3))
-
-
 def planar_kernels(
     weight: Float[Tensor, "C_out C_in 7"] | Float[Tensor, "C_out C_in 21"],
 ) -> Float[Tensor, "2 C_out C_in *depth 3 3"]:
-    """Arrange the weight of a convolution for col and for row rectangles, by one operator.
+    """Arrange the weight of a convolution as planar kernels of col and of row rectangles.
 
     A product with ones and zeros, and so exact; where matrix products may use TF32, as convolutions do by default, it
     rounds as these do.
@@ -115,30 +106,11 @@ def neighbor_taps(taps: Taps) -> list[int]:
 
 def convolve(
     images: Float[Tensor, "B C_in *N h w"],
-    weight: Float[Tensor, "C_out C_in 7"] | Float[Tensor, "C_out C_in 21"],
-    taps: Taps,
+    kernel: Float[Tensor, "C_out C_in *depth 3 3"],
     bias: Float[Tensor, " C_out"] | None = None,
     stride: int = 1,
-    border: bool = False,
-    kernel: Float[Tensor, "C_out C_in *depth 3 3"] | None = None,
-) -> Float[Tensor, "B C_out *N h_out w_out"]:
-    """Convolve rectangles of one kind, continued by their own border values, in plain torch.
-
-    Args:
-        images: ``(B, in, h, w)`` or ``(B, in, N, h, w)``.
-        weight: ``(out, in, 7)``, or ``(out, in, 21)`` of index ``7 * depth + tap``.
-        taps: ``COL_TAPS`` or ``ROW_TAPS``.
-        bias: ``(out,)``.
-        stride: in the plane; along N it is 1.
-        border: whether the images have a border of one more place all around; hypotheses never have one.
-        kernel: the weight as a planar kernel, where that is made already.
-    """
-    if kernel is None:
-        kernel = planar_kernel(weight if images.ndim == 4 else weight.unflatten(-1, (3, 7)), taps)
-    if not border:
-        images = repeat_border(images)
-    elif images.ndim == 5:
-        images = torch.cat((images[:, :, :1], images, images[:, :, -1:]), 2)
+) -> Float[Tensor, "B C_out *N_out h_out w_out"]:
+    """Convolve images ``(B, in, h, w)``, or volumes ``(B, in, N, h, w)``, that have a border; the stride is planar."""
     if images.ndim == 4:
         return F.conv2d(images, kernel, bias, stride)
     return F.conv3d(images, kernel, bias, (1, stride, stride))
@@ -146,12 +118,33 @@ def convolve(
 
 def repeat_border(images: Float[Tensor, "B C *N h w"]) -> Float[Tensor, "B C *N_padded h+2 w+2"]:
     """Continue images ``(B, C, h, w)`` or volumes ``(B, C, N, h, w)`` by one more of their border values all around."""
-    if use_triton(images, differentiable=True) and images.numel() >= LARGE:
-        from sphericalvision.crown.border_triton import RepeatBorder  # Triton is not everywhere
-
-        return RepeatBorder.apply(images)  # type: ignore[no-any-return]
-    if images.ndim == 4 and torch.compiler.is_compiling() and torch.is_grad_enabled():
-        # Inductor expects another memory format of the gradient of a padding than it gets.
-        tall = torch.cat((images[..., :1, :], images, images[..., -1:, :]), -2)
-        return torch.cat((tall[..., :1], tall, tall[..., -1:]), -1)
     return F.pad(images, (1, 1) * (images.ndim - 2), mode="replicate")
+
+
+def convolve_rectangles(
+    col: Float[Tensor, "B 5 C_in *N long short"],
+    row: Float[Tensor, "B 5 C_in *N short long"],
+    weight: Float[Tensor, "C_out C_in taps"],
+    bias: Float[Tensor, " C_out"] | None = None,
+    stride: int = 1,
+    relu: bool = False,
+    repeat: Callable[[Tensor], Tensor] = repeat_border,
+) -> tuple[Float[Tensor, "B 5 C_out *N h w"], Float[Tensor, "B 5 C_out *N w h"]]:
+    """Convolve both kinds of rectangles of a crown, continued by their own border values, and rectify if asked for.
+
+    Args:
+        col: ``(B, 5, in, [N,] 2n + 1, n + 1)``.
+        row: ``(B, 5, in, [N,] n + 1, 2n + 1)``.
+        weight: ``(out, in, 7)``, or ``(out, in, 21)`` of index ``7 * depth + tap``.
+        bias: ``(out,)``.
+        stride: in the plane; along N it is 1.
+        relu: whether results are rectified.
+        repeat: continues rectangles at their borders.
+    """
+    results = []
+    for rectangles, kernel in zip((col, row), planar_kernels(weight), strict=True):
+        result = convolve(repeat(rectangles.flatten(0, 1)), kernel, bias, stride)
+        if relu:  # in place where no derivative needs the result
+            result = result.relu() if torch.is_grad_enabled() else result.relu_()
+        results.append(result.unflatten(0, (-1, 5)))
+    return results[0], results[1]

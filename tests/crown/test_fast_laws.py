@@ -34,7 +34,7 @@ from sphericalvision.crown import (
     set_kernel_options,
     to_crown,
 )
-from sphericalvision.crown.fast import door
+from sphericalvision.crown.fast import cpp
 from sphericalvision.kernels import kernels
 from sphericalvision.models import IcoSweepNet
 from sphericalvision.models.icosweepnet import CostRegularizer, FeatureExtractor
@@ -312,8 +312,8 @@ def test_operators_are_left_alone_unless_asked_for(case: FastCase, monkeypatch: 
     def entered(*_: Any) -> None:
         raise AssertionError
 
-    monkeypatch.setattr(door, "hex_convolution", entered)
-    monkeypatch.setattr(door, "crown_normalization", entered)
+    monkeypatch.setattr(cpp, "hex_convolution", entered)
+    monkeypatch.setattr(cpp, "crown_normalization", entered)
     function, inputs = case.function(torch.float32), case.inputs(1, torch.float32).requires_grad_()
     for way in ("reference", "plain"):
         with kernels(way):

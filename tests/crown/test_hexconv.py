@@ -20,7 +20,7 @@ from sphericalvision.crown import (
     north_fraction,
     to_crown,
 )
-from sphericalvision.crown.hexpad import hex_pad
+from sphericalvision.crown.charts import hex_pad
 from sphericalvision.icosphere import icosphere_neighbors, icosphere_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.topology import coarse_vertex_ids, vertex_at
 from sphericalvision.kernels import kernels

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import ring_rig
 from sphericalvision.crown import Crown, from_crown, to_crown
-from sphericalvision.crown.fast import door
+from sphericalvision.crown.fast import cpp
 from sphericalvision.kernels import kernels
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import IcoSweepNet
@@ -142,8 +142,8 @@ def test_operators_may_become_ready_in_the_middle_of_a_training_step(
         asked += 1
         return asked > ready_after and door_to_operators(way)
 
-    door_to_operators = door.operators_ready
-    monkeypatch.setattr(door, "operators_ready", ready)
+    door_to_operators = cpp.operators_ready
+    monkeypatch.setattr(cpp, "operators_ready", ready)
     with kernels("auto"):
         for ready_after in (30, 90, 200):
             asked = 0

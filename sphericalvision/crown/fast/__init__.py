@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Operators in C++ for CPUs; the rest of ``crown`` enters by ``door`` and works without.
+"""The operators of the crown: a readable function each, and the bodies that exist for speed.
 
 =====================  ==============================================================================================
-``door``               which way the layers go, and the operators that they call
+``lookups``            few large operators of torch, and kernels in Triton behind them
+``slices``             copies of whole edges, and channels fastest in memory, on a CPU
+``cpp``                operators in C++, on a CPU
 ``convolution``        2D and 3D convolutions with a seventh to a third of the multiplications, as operators of torch
 ``normalization``      normalisation and ReLU in two passes over memory each way, and within the convolution after them
 ``registering``        functions as operators of torch; gradients of gradients, by plain formulas
@@ -10,22 +12,59 @@
 =====================  ==============================================================================================
 """
 
-from sphericalvision.crown.fast.door import (
-    convolve_charts,
-    convolve_rectangles,
-    convolve_vertices,
-    normalize,
-    operators_in_use,
-    recomputation_pays,
-    slices_pay,
-)
+from __future__ import annotations
+
+from torch import Tensor
+
+from sphericalvision.crown import hexagons, places, statistics, taps
+from sphericalvision.crown.fast import cpp, lookups, slices
+from sphericalvision.crown.fast.cpp import operators_in_use, recomputation_pays
+from sphericalvision.crown.statistics import CrownNorm, Pair
+from sphericalvision.kernels import Operator
 
 __all__ = [
-    "convolve_charts",
     "convolve_rectangles",
     "convolve_vertices",
+    "fold",
+    "hex_convolve2d",
+    "hex_convolve3d",
     "normalize",
+    "normalize_and_convolve",
     "operators_in_use",
     "recomputation_pays",
-    "slices_pay",
+    "unfold",
 ]
+
+
+def _convolve_vertices(
+    values: Tensor, weight: Tensor, bias: Tensor | None = None, stride: int = 1, relu: bool = False
+) -> Pair:
+    return convolve_rectangles(*unfold(values), weight, bias, stride, relu)
+
+
+def _normalize_and_convolve(
+    col: Tensor, row: Tensor, norm: CrownNorm, relu: bool, weight: Tensor, bias: Tensor | None
+) -> Pair:
+    return convolve_rectangles(*normalize(col, row, norm, relu), weight, bias)
+
+
+unfold = Operator(places.values_at_places, cpu=slices.unfold, fused=lookups.unfold)
+fold = Operator(places.mean_over_places, cpu=slices.fold, fused=lookups.fold)
+convolve_rectangles = Operator(
+    taps.convolve_rectangles,
+    cpp=cpp.convolve_rectangles,
+    triton=lookups.convolve_with_border_in_triton,
+    fused=lookups.convolve_with_joined_border,
+    differentiable_triton=True,
+)
+convolve_vertices = Operator(_convolve_vertices, cpp=cpp.convolve_vertices)
+normalize = Operator(statistics.normalize, cpp=cpp.normalize, fused=lookups.normalize)
+normalize_and_convolve = Operator(_normalize_and_convolve, cpp=cpp.normalize_and_convolve)
+hex_convolve2d = Operator(
+    hexagons.hexagons2d,
+    cpp=cpp.hexagons2d,
+    triton=lookups.hexagons_in_triton,
+    cpu=slices.hexagons2d,
+    fused=lookups.hexagons2d,
+)
+hex_convolve3d = Operator(hexagons.hexagons3d, cpp=cpp.hexagons3d, cpu=slices.hexagons3d)

@@ -19,7 +19,6 @@ References:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any
 
 import torch
@@ -27,7 +26,8 @@ from torch import Tensor
 
 from sphericalvision.crown.fast.registering import Operator
 from sphericalvision.crown.places import place_ids
-from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, convolve
+from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, convolve, planar_kernels, repeat_border
+from sphericalvision.tables import constant_table
 
 __all__ = [
     "Scaling",
@@ -121,9 +121,12 @@ def plain_convolution(*inputs: Any) -> Tensor:
         values = laid_out.movedim(2, 1).flatten(0, 1)
     images = values.movedim(-1, 1)
     flat = weight.shape[-1] == 7
-    result = convolve(
-        images.squeeze(2) if flat else images, weight, ROW_TAPS if across else COL_TAPS, bias, border=border
-    )
+    images = images.squeeze(2) if flat else images
+    if not border:
+        images = repeat_border(images)
+    elif not flat:
+        images = torch.cat((images[:, :, :1], images, images[:, :, -1:]), 2)
+    result = convolve(images, planar_kernels(weight)[int(across)], bias)
     result = (result.unsqueeze(2) if flat else result).movedim(1, -1)
     return result.relu() if relu else result
 
@@ -137,8 +140,7 @@ hex_convolution = Operator(
 ).forward
 
 
-@lru_cache(maxsize=16)
-@torch.inference_mode(False)  # kept for training, too
+@constant_table
 def vertices_at_places(level: int) -> tuple[Tensor, Tensor]:
     """``places`` of col and of row rectangles, on the CPU: at level 7 half a megabyte each."""
     n = 2**level

@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import pytest
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from sphericalvision.crown import HexConv2d
 from sphericalvision.crown.fast.convolution import hex_convolution
 from sphericalvision.crown.places import place_ids
-from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, Taps, planar_kernel, repeat_border
+from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, Taps, convolve, planar_kernels, repeat_border
 from sphericalvision.kernels import kernels
 from tests.crown.compiler import needs_compiler
 
@@ -44,9 +43,7 @@ def by_operator(
 
 def direct(images: Tensor, weight: Tensor, bias: Tensor | None, taps: Taps) -> Tensor:
     """The sum over all taps, of images or of volumes."""
-    if images.ndim == 4:
-        return F.conv2d(repeat_border(images), planar_kernel(weight, taps), bias)
-    return F.conv3d(repeat_border(images), planar_kernel(weight.unflatten(-1, (3, 7)), taps), bias)
+    return convolve(repeat_border(images), planar_kernels(weight)[int(taps == ROW_TAPS)], bias)
 
 
 @pytest.mark.parametrize("taps", [COL_TAPS, ROW_TAPS])

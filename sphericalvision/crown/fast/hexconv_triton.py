@@ -78,7 +78,7 @@ def hex_conv_kernel(
     rectify: bool = False,
     residual: Float[Tensor, "B C_out V_out"] | None = None,
 ) -> Float[Tensor, "B C_out V_out"]:
-    """Return what ``by_lookups.hex_conv_by_lookups`` returns, of float32; channels are the fastest in memory.
+    """Return what ``lookups.hexagons2d`` returns, of float32; channels are the fastest in memory.
 
     Products are as exact as three of TF32 make them.
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Charts continued by what lies across their borders, and crowns made of them, by slices.
+"""Crowns by slices: charts continued by what lies across their borders, and rectangles made of them.
 
 Whole edges are copied at a time where ``places`` looks up every vertex: same values, and a fraction of the time on a
 CPU. With ``n = 2**level`` a chart owns ``2n`` rows and ``n`` columns of vertices. One more row in the north and one
@@ -19,21 +19,16 @@ import torch
 from jaxtyping import Float, Num
 from torch import Tensor
 
-from sphericalvision.crown.fast import operators_in_use
+from sphericalvision.crown import hexagons
+from sphericalvision.crown.fast.cpp import operators_in_use
 from sphericalvision.crown.places import own_charts
 from sphericalvision.icosphere import level_from_num_vertices
 
-__all__ = [
-    "empty_as",
-    "fill_north_and_east",
-    "fold_north_and_east",
-    "mean_over_places",
-    "unfold",
-]
+__all__ = ["fold", "hexagons2d", "hexagons3d", "unfold"]
 
 
-class Unfold(torch.autograd.Function):
-    """Copy each vertex of ``(B, C, [N,] V)`` to all its places, col and row; the adjoint is ``Fold``."""
+class _Unfold(torch.autograd.Function):
+    """Copy each vertex of ``(B, C, [N,] V)`` to all its places, col and row; the adjoint is ``_Fold``."""
 
     @staticmethod
     def forward(ctx: Any, values: Tensor, channels_fastest: bool) -> tuple[Tensor, Tensor]:
@@ -41,24 +36,24 @@ class Unfold(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None]:
-        return Fold.apply(*gradients, None), None
+        return _Fold.apply(*gradients, None), None
 
 
-class Fold(torch.autograd.Function):
-    """Sum each vertex over its places, or take their mean if their ``share (V,)`` is given; adjoint of ``Unfold``."""
+class _Fold(torch.autograd.Function):
+    """Sum each vertex over its places, or take their mean if their ``weight (V,)`` is given; adjoint of ``_Unfold``."""
 
     @staticmethod
-    def forward(ctx: Any, col: Tensor, row: Tensor, share: Tensor | None) -> Tensor:
+    def forward(ctx: Any, col: Tensor, row: Tensor, weight: Tensor | None) -> Tensor:
         ctx.channels_fastest = col.stride(2) == 1
-        ctx.save_for_backward(share)
+        ctx.save_for_backward(weight)
         total = _fold(col, row)
-        return total if share is None else total.mul_(share)
+        return total if weight is None else total.mul_(weight)
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        (share,) = ctx.saved_tensors
-        shared = gradient if share is None else gradient * share
-        return *Unfold.apply(shared, ctx.channels_fastest), None
+        (weight,) = ctx.saved_tensors
+        shared = gradient if weight is None else gradient * weight
+        return *_Unfold.apply(shared, ctx.channels_fastest), None
 
 
 def unfold(values: Num[Tensor, "B C *N V"]) -> tuple[Tensor, Tensor]:
@@ -66,20 +61,20 @@ def unfold(values: Num[Tensor, "B C *N V"]) -> tuple[Tensor, Tensor]:
 
     It does for operators in C++ and for convolutions of torch, but not for the gradients of torch's normalisations.
     """
-    col, row = Unfold.apply(values, not torch.is_grad_enabled() or operators_in_use())
+    col, row = _Unfold.apply(values, not torch.is_grad_enabled() or operators_in_use())
     return col, row
 
 
-def mean_over_places(
+def fold(
     col: Float[Tensor, "B 5 C *N long short"], row: Float[Tensor, "B 5 C *N short long"]
 ) -> Float[Tensor, "B C *N V"]:
     """Return the mean of each vertex over all its places."""
     n, one = col.shape[-1] - 1, col.new_ones(1)
     number = _fold(one.expand(1, 5, 1, 2 * n + 1, n + 1), one.expand(1, 5, 1, n + 1, 2 * n + 1)).view(-1)
-    return Fold.apply(col, row, number.reciprocal())
+    return _Fold.apply(col, row, number.reciprocal())
 
 
-def empty_as(like: Tensor, like_dim: int, shape: tuple[int, ...], channel_dim: int) -> Float[Tensor, " ..."]:
+def _empty_as(like: Tensor, like_dim: int, shape: tuple[int, ...], channel_dim: int) -> Float[Tensor, " ..."]:
     """Return an uninitialised tensor, its channels fastest in memory if those of ``like`` are."""
     if like.stride(like_dim) != 1 or like.shape[like_dim] == 1:
         return like.new_empty(shape)
@@ -91,7 +86,7 @@ def _channels_fastest(like: Tensor, shape: tuple[int, ...], channel_dim: int) ->
     return like.new_empty((*others, shape[channel_dim])).movedim(-1, channel_dim)
 
 
-def fill_north_and_east(
+def _fill_north_and_east(
     rectangles: Num[Tensor, "B 5 C *N long short"], values: Num[Tensor, "B C *N V"]
 ) -> None:
     """Write values into rectangles ``(B, 5, C, [N,] 2n + 1, n + 1)``: charts and their northern and eastern borders."""
@@ -106,11 +101,11 @@ def fill_north_and_east(
     rectangles[..., -1, n] = values[:, None, ..., -1]
 
 
-def fold_north_and_east(rectangles: Float[Tensor, "B 5 C *N long short"]) -> Float[Tensor, "B C *N V"]:
-    """Sum rectangles into values: the adjoint of ``fill_north_and_east``, line by line."""
+def _fold_north_and_east(rectangles: Float[Tensor, "B 5 C *N long short"]) -> Float[Tensor, "B C *N V"]:
+    """Sum rectangles into values: the adjoint of ``_fill_north_and_east``, line by line."""
     batch, _, *channels, _, columns = rectangles.shape
     n = columns - 1
-    values = empty_as(rectangles, 2, (batch, *channels, 2 + 10 * n * n), 1)
+    values = _empty_as(rectangles, 2, (batch, *channels, 2 + 10 * n * n), 1)
     values[..., 0] = rectangles[..., 0, 0].sum(1)
     values[..., -1] = rectangles[..., -1, n].sum(1)
     charts = own_charts(values, n)
@@ -127,7 +122,7 @@ def _unfold(values: Tensor, channels_fastest: bool) -> tuple[Tensor, Tensor]:
     new = _channels_fastest if channels_fastest else lambda like, shape, _: like.new_empty(shape)
     col = new(values, (batch, 5, *channels, 2 * n + 1, n + 1), 2)
     row = new(values, (batch, 5, *channels, n + 1, 2 * n + 1), 2)
-    fill_north_and_east(col, values)
+    _fill_north_and_east(col, values)
     # The northern half of each chart, then the southern half of the next one, without the column that both have.
     row[..., : n + 1] = col[..., : n + 1, :]
     row[:, :4, ..., n + 1 :] = col[:, 1:, ..., n:, 1:]
@@ -137,8 +132,18 @@ def _unfold(values: Tensor, channels_fastest: bool) -> tuple[Tensor, Tensor]:
 
 def _fold(col: Tensor, row: Tensor) -> Tensor:
     n = col.shape[-1] - 1
-    total = empty_as(col, 2, tuple(col.shape), 2).copy_(col)
+    total = _empty_as(col, 2, tuple(col.shape), 2).copy_(col)
     total[..., : n + 1, :] += row[..., : n + 1]
     total[:, 1:, ..., n:, 1:] += row[:, :4, ..., n + 1 :]
     total[:, 0, ..., n:, 1:] += row[:, 4, ..., n + 1 :]
-    return fold_north_and_east(total)
+    return _fold_north_and_east(total)
+
+
+def hexagons2d(values: Tensor, *args: Any) -> Tensor:
+    """Convolve values as ``hexagons.hexagons2d`` does, with channels fastest in memory."""
+    return hexagons.hexagons2d(values.movedim(1, -1).contiguous().movedim(-1, 1), *args)
+
+
+def hexagons3d(values: Tensor, *args: Any) -> Tensor:
+    """Convolve volumes as ``hexagons.hexagons3d`` does, with channels fastest in memory."""
+    return hexagons.hexagons3d(values.movedim(1, -1).contiguous().movedim(-1, 1), *args)

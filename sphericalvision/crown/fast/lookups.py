@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Crowns, their normalisation and hexagonal convolutions by few large operators, none of which waits for a value."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float, Int, Num
+from torch import Tensor
+
+from sphericalvision.crown.charts import chart_vertices, ring_table
+from sphericalvision.crown.hexagons import CHART_RINGS, NORTH_RINGS, Rings, two_orientations
+from sphericalvision.crown.places import as_rectangles, level_of_rectangles, place_ids
+from sphericalvision.crown.statistics import CrownNorm
+from sphericalvision.crown.taps import COL_TAPS, convolve_rectangles, neighbor_taps
+from sphericalvision.geometry.means_by_id import MeansById, mean_by_id, means_by_id
+from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_vertices
+from sphericalvision.icosphere.topology import coarse_vertex_ids
+from sphericalvision.kernels import is_traced
+from sphericalvision.tables import constant_table
+
+__all__ = [
+    "convolve_with_border_in_triton",
+    "convolve_with_joined_border",
+    "fold",
+    "hexagons2d",
+    "hexagons_in_triton",
+    "normalize",
+    "unfold",
+]
+
+LARGE = 1 << 20
+"""Values from which memory, and not the launch, is what the continuation of a border takes."""
+
+
+def unfold(
+    values: Num[Tensor, "B C *N V"],
+) -> tuple[Num[Tensor, "B 5 C *N long short"], Num[Tensor, "B 5 C *N short long"]]:
+    """Look values up at the places of all rectangles, as ``places.values_at_places`` does."""
+    level = level_from_num_vertices(values.shape[-1])
+    if is_traced():  # which differentiate lookups themselves
+        return as_rectangles(values.index_select(-1, _places(level, values.device).ids), level)
+    return as_rectangles(_Unfold.apply(values), level)
+
+
+def fold(
+    col: Float[Tensor, "B 5 C *N long short"], row: Float[Tensor, "B 5 C *N short long"]
+) -> Float[Tensor, "B C *N V"]:
+    """Return the mean of each vertex over all its places, as ``places.mean_over_places`` does."""
+    places = torch.cat([rectangles.flatten(-2).movedim(1, -2) for rectangles in (col, row)], -2).flatten(-2)
+    level = level_of_rectangles(col)
+    if is_traced():
+        return mean_by_id(places, _places(level, places.device).means)
+    return _Fold.apply(places, level)  # type: ignore[no-any-return]
+
+
+class _Places(NamedTuple):
+    ids: Int[Tensor, " places"]
+    means: MeansById
+    counts: Float[Tensor, " V"]
+
+
+@constant_table
+def _places(level: int, device: torch.device) -> _Places:
+    """Vertices at all places; where the places of each are; and their number."""
+    ids, number = place_ids(level, device).flatten(), num_icosphere_vertices(level)
+    return _Places(ids, means_by_id(ids, number), ids.bincount(minlength=number).float())
+
+
+class _Unfold(torch.autograd.Function):
+    """Values ``(*, V)`` at all places ``(*, P)``: the derivative is looked up as well, where torch would add up."""
+
+    @staticmethod
+    def forward(ctx: Any, values: Tensor) -> Tensor:
+        ctx.level = level_from_num_vertices(values.shape[-1])
+        return values.index_select(-1, _places(ctx.level, values.device).ids)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> Tensor:
+        (gradient,) = gradients
+        return _Fold.apply(gradient, ctx.level) * _places(ctx.level, gradient.device).counts.to(
+            gradient.dtype
+        )  # type: ignore[no-any-return]
+
+
+class _Fold(torch.autograd.Function):
+    """The mean ``(*, V)`` of what is at the places ``(*, P)`` of each vertex."""
+
+    @staticmethod
+    def forward(ctx: Any, places: Tensor, level: int) -> Tensor:
+        return mean_by_id(places, _places(level, places.device).means)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None]:
+        (gradient,) = gradients
+        level = level_from_num_vertices(gradient.shape[-1])
+        return _Unfold.apply(gradient / _places(level, gradient.device).counts.to(gradient.dtype)), None
+
+
+def convolve_with_joined_border(
+    col: Tensor, row: Tensor, weight: Tensor, bias: Tensor | None = None, stride: int = 1, relu: bool = False
+) -> tuple[Tensor, Tensor]:
+    """Convolve rectangles whose borders are joined on, where Inductor has to differentiate.
+
+    It expects another memory format of the gradient of a padding than it gets.
+    """
+    if col.ndim != 5 or not torch.is_grad_enabled():
+        return NotImplemented
+    return convolve_rectangles(col, row, weight, bias, stride, relu, _join_border)
+
+
+def _join_border(images: Tensor) -> Tensor:
+    tall = torch.cat((images[..., :1, :], images, images[..., -1:, :]), -2)
+    return torch.cat((tall[..., :1], tall, tall[..., -1:]), -1)
+
+
+def convolve_with_border_in_triton(
+    col: Tensor, row: Tensor, weight: Tensor, bias: Tensor | None = None, stride: int = 1, relu: bool = False
+) -> tuple[Tensor, Tensor]:
+    """Convolve large rectangles, whose borders a kernel repeats."""
+    if col.numel() < LARGE:
+        return NotImplemented
+    from sphericalvision.crown.fast.border_triton import RepeatBorder  # Triton is not everywhere
+
+    return convolve_rectangles(col, row, weight, bias, stride, relu, RepeatBorder.apply)
+
+
+def normalize(col: Tensor, row: Tensor, norm: CrownNorm, relu: bool) -> tuple[Tensor, Tensor]:
+    """Normalise each sample by itself: a group for each channel, where others have a batch of all their channels."""
+    if not norm.per_sample:
+        return NotImplemented
+    together = torch.cat([rectangles.transpose(1, 2).flatten(-2) for rectangles in (col, row)], 2)
+    normalized = F.group_norm(together, norm.num_features, norm.weight, norm.bias, norm.eps)
+    normalized = normalized.relu() if relu else normalized
+    first, second = normalized.transpose(1, 2).split(5, 1)
+    return first.unflatten(-1, col.shape[-2:]), second.unflatten(-1, row.shape[-2:])
+
+
+class TapTables(NamedTuple):
+    """What seven taps read at each vertex of the result.
+
+    Attributes:
+        taps: ``(V_out * 7,)`` vertices, V + s for the mean around the special vertex s.
+        around: ``(60,)`` five neighbours of each of the twelve special vertices.
+        reads: ``(V_out * 7 + 63,)`` the taps, with any vertex in place of a mean, then ``around``, then three more, so
+            that there are nine times seven.
+        gaps: ``(12,)`` where in ``reads`` the means belong.
+    """
+
+    taps: Int[Tensor, " V_out_times_7"]
+    around: Int[Tensor, " 60"]
+    reads: Int[Tensor, " reads"]
+    gaps: Int[Tensor, " 12"]
+
+
+def hexagons2d(
+    values: Float[Tensor, "B C_in V"],
+    weight: Float[Tensor, "C_out C_in 7"],
+    bias: Float[Tensor, " C_out"] | None,
+    stride: int,
+    north: Float[Tensor, " V"] | None,
+    rectify: bool = False,
+    residual: Float[Tensor, "B C_out V_out"] | None = None,
+) -> Float[Tensor, "B C_out V_out"]:
+    """Convolve values as ``hex_conv2d`` does: look the seven taps of every vertex up, then multiply."""
+    values = values.relu() if rectify else values
+    if north is None:
+        result = _multiply_taps(values, weight, bias, stride, CHART_RINGS)
+    else:
+        both = _multiply_taps(values, *two_orientations(weight, bias), stride, NORTH_RINGS)
+        before, after = both.chunk(2, 1)
+        result = torch.lerp(before, after, _fractions(north, stride).to(both))  # of another type in autocast
+    return result if residual is None else residual + result
+
+
+def _fractions(north: Tensor, stride: int) -> Tensor:
+    level = level_from_num_vertices(len(north))
+    return north if stride == 1 else north[coarse_vertex_ids(level, north.device)]
+
+
+def _multiply_taps(values: Tensor, weight: Tensor, bias: Tensor | None, stride: int, rings: Rings) -> Tensor:
+    tables = _tap_tables(level_from_num_vertices(values.shape[-1]), stride, rings, values.device)
+    read = values.index_select(-1, tables.reads)
+    means = read[..., -63:-3].unflatten(-1, (12, 5)).mean(-1)
+    read.index_copy_(-1, tables.gaps, means)
+    # Seven values a vertex in a row: a convolution that goes on by seven needs no other order of the weights.
+    return F.conv1d(read, weight, bias, stride=7)[..., :-9]
+
+
+def hexagons_in_triton(
+    values: Float[Tensor, "B C_in V"],
+    weight: Float[Tensor, "C_out C_in 7"],
+    bias: Float[Tensor, " C_out"] | None,
+    stride: int,
+    north: Float[Tensor, " V"] | None,
+    rectify: bool = False,
+    residual: Float[Tensor, "B C_out V_out"] | None = None,
+) -> Float[Tensor, "B C_out V_out"]:
+    """Convolve values in single precision as ``hex_conv2d`` does, by a kernel that never writes what the taps read."""
+    tensors = [tensor for tensor in (values, weight, bias, residual) if tensor is not None]
+    if torch.is_autocast_enabled("cuda") or any(tensor.dtype != torch.float32 for tensor in tensors):
+        return NotImplemented
+    from sphericalvision.crown.fast.hexconv_triton import hex_conv_kernel  # Triton is not everywhere
+
+    level = level_from_num_vertices(values.shape[-1])
+    if north is None:
+        tables = _tap_tables(level, stride, CHART_RINGS, values.device)
+        return hex_conv_kernel(values, weight, bias, tables.around, tables.taps, rectify, residual)
+    tables = _tap_tables(level, stride, NORTH_RINGS, values.device)
+    values = values.relu() if rectify else values
+    both = hex_conv_kernel(values, *two_orientations(weight, bias), tables.around, tables.taps)
+    before, after = both.chunk(2, 1)
+    result = torch.lerp(before, after, _fractions(north, stride).to(both))
+    return result if residual is None else residual + result
+
+
+@constant_table
+def _tap_tables(level: int, stride: int, rings: Rings, device: torch.device) -> TapTables:
+    number, n = num_icosphere_vertices(level), 2**level
+    charts, special = chart_vertices(level, device), ring_table(level, device)
+    places = neighbor_taps(COL_TAPS)
+    own = torch.stack(
+        [charts[:, place // 3 : place // 3 + 2 * n, place % 3 : place % 3 + n] for place in places], -1
+    )
+    order = torch.tensor([sum(COL_TAPS, ())[place] for place in places], device=device)
+    taps = special.new_empty(number, 7)
+    taps[1:-1, order] = own.view(-1, 7)
+    pole_north, a, b, pole_south = rings
+    for vertex, ring in enumerate((pole_north, *(a, b) * 5, pole_south)):
+        *neighbors, center = special[vertex]
+        mean = center * 0 + number + vertex
+        taps[center, torch.tensor(ring, device=device)] = torch.stack((*neighbors, mean))
+        taps[center, 6] = center
+    taps = (taps if stride == 1 else taps[coarse_vertex_ids(level, device)]).flatten()
+    around = special[:, :5].flatten()
+    is_gap = taps >= number
+    gaps = is_gap.nonzero()[:, 0]
+    reads = torch.cat((taps.masked_fill(is_gap, 0), around, around[:3]))
+    return TapTables(taps, around, reads, gaps[taps[gaps].argsort()])

@@ -241,7 +241,7 @@ def test_results_do_not_depend_on_memory_order() -> None:
     values = random_values(2, 3, 162)
     innermost = values.transpose(1, 2).contiguous().transpose(1, 2)
     torch.testing.assert_close(layer(innermost), layer(values))
-    assert layer(values).is_contiguous()
+    assert layer(values).stride(1) == 1  # whatever comes in, channels are the fastest
     assert layer(innermost).stride(1) == 1  # layers keep to the order they are given
 
 

@@ -14,6 +14,8 @@ vertices of the icosahedron have five neighbours, so they are gathered apart, as
 
 from __future__ import annotations
 
+import math
+
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float, Int
@@ -131,11 +133,11 @@ def hex_pad(values: Float[Tensor, "B C *N V"]) -> Float[Tensor, "B 5 C *N rows c
     vertices = chart_vertices(check_values(values), values.device)
     # All channels of a vertex in a row, which are read at once; of all samples and hypotheses one below the other.
     rows = values.movedim(1, -1)
-    batch, size = rows.shape[:-2], rows.shape[-2]
-    rows = rows.reshape(-1, rows.shape[-1])
+    *batch, size, channels = rows.shape
+    rows = rows.reshape(math.prod(batch) * size, channels)
     first = torch.arange(0, len(rows), size, device=rows.device)
     charts = F.embedding(first[:, None] + vertices.flatten(), rows)
-    charts = charts.view(*batch, *vertices.shape, -1).movedim((-4, -1), (1, 2))
+    charts = charts.view(*batch, *vertices.shape, channels).movedim((-4, -1), (1, 2))
     charts[..., 0, 0] = 0
     charts[..., -1, -1] = 0
     return charts if _is_fastest(values, 1) else charts.contiguous()

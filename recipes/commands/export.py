@@ -63,8 +63,8 @@ def export(config: ExportConfig, folder: Path) -> list[Path]:
     """
     if "onnx" in config.formats and config.precision != "float32":
         raise ArgumentError(
-            f"precision: expected float32 for formats=[onnx], got {config.precision}: those who run ONNX files convert "
-            "them; formats=[pt2,compiled] take it"
+            f"precision: expected float32 for formats=[onnx], got {config.precision}: runtimes of ONNX convert "
+            "files themselves; formats=[pt2,compiled] take it"
         )
     rig = config.file.rig()
     if config.cameras is not None:

@@ -55,7 +55,7 @@ class RenderConfig:
 
 
 def render(config: RenderConfig) -> int:
-    """Render the frames that ``config.output`` lacks, which the runs of a multi-run share; returns how many these were.
+    """Render the frames that ``config.output`` lacks and return their number; runs of a multirun share the folder.
 
     Raises:
         ArgumentError: the folder holds frames of other settings.
@@ -71,7 +71,7 @@ def render(config: RenderConfig) -> int:
     print_config(config)
     if len(missing) < len(frames):
         console.print(
-            f"{folder} holds {len(frames) - len(missing)} of the {len(frames)} frames already; they are kept."
+            f"{len(frames) - len(missing)} of {len(frames)} frames are already complete in {folder}; skipping them"
         )
     world = World(
         rig,
@@ -87,8 +87,8 @@ def render(config: RenderConfig) -> int:
     loader: DataLoader[Any] = DataLoader(missing, None, num_workers=config.num_workers, collate_fn=make)  # type: ignore[arg-type]
     if missing:
         write_yaml(folder / RECORD, settings)
-        frames_made = track(loader, "rendering", total=len(missing), console=console)
-        write_omnistereo(folder, frames_made, rig, release, config.min_depth)
+        rendered = track(loader, "rendering", total=len(missing), console=console)
+        write_omnistereo(folder, rendered, rig, release, config.min_depth)
     print(f"{len(missing)} frames written, {len(frames)} in {folder}")
     print(
         f"Depth: sphericalvision-predict calibration={folder} images='{folder}/cam{{camera}}/{{frame}}.png'"
@@ -102,16 +102,16 @@ def _meshes(config: RenderConfig) -> MeshFiles | None:
 
 
 def numbered_frame(world: World, first_seed: int, height: int, number: int) -> dict[str, Any]:
-    """The frame of a number, from 1, with it as its name."""
+    """Render the frame of a number, from 1, which is also its name."""
     return {**recorded_sample(world.frame(first_seed + number - 1), height), "frame": f"{number:05d}"}
 
 
 RECORD = "rendered.yaml"
-"""Beside the frames: how they were rendered."""
+"""File next to the frames: the settings that they were rendered with."""
 
 
 def settings_of(config: RenderConfig, rig: CameraRig, release: str) -> dict[str, Any]:
-    """What all frames of a folder have in common; meshes by name and content, up and scale included."""
+    """Return the settings that all frames of a folder share; meshes by name and content, up and scale included."""
     meshes = _meshes(config)
     names = ("kind", "first_seed", "scale", "samples_per_pixel", "height", "min_depth")
     return {
@@ -134,27 +134,27 @@ def check_settings(folder: Path, settings: dict[str, Any], release: str) -> None
         truths = folder / RELEASES[release].ground_truth_folder
         if truths.is_dir() and any(truths.iterdir()):
             raise ArgumentError(
-                f"output: {folder} holds frames of which no {RECORD} tells how they were rendered; choose another "
-                "folder, so that they do not mix"
+                f"output: {folder} holds frames of unknown settings (no {RECORD}); choose another folder"
             )
         return
     try:
         stored = read_yaml(path)
         keys = {**settings, **stored}
-        differ = {key: stored.get(key) for key in keys if stored.get(key) != settings.get(key)}
+        differing = [key for key in keys if stored.get(key) != settings.get(key)]
     except (FileFormatError, AttributeError, TypeError) as error:
         raise FileFormatError(f"{path}: is damaged; choose another output=... folder ({error})") from None
-    if differ:
-        before = ", ".join(f"{key}={value}" for key, value in differ.items())
-        here = ", ".join(f"{key}={settings.get(key)}" for key in differ)
+    if differing:
+        old, new = (
+            ", ".join(f"{key}={values.get(key)}" for key in differing) for values in (stored, settings)
+        )
         raise ArgumentError(
-            f"output: {folder} holds frames rendered with {before}, this command says {here}; use the same to add "
+            f"output: {folder} holds frames rendered with {old}, this command has {new}; use the same settings to add "
             "frames, or choose another folder"
         )
 
 
 def missing_frames(root: Path, frames: range, release: str, num_cameras: int) -> list[int]:
-    """Frames of which ``root`` lacks a file, or holds one that cannot be read."""
+    """Return the frames of which ``root`` lacks a file, or holds one that cannot be read."""
     layout = RELEASES[release]
 
     def files_of(frame: int) -> list[Path]:
@@ -162,9 +162,9 @@ def missing_frames(root: Path, frames: range, release: str, num_cameras: int) ->
         return [*images, root / layout.ground_truth_folder / f"{frame:05d}{layout.suffix}"]
 
     complete = [frame for frame in frames if all(path.is_file() for path in files_of(frame))]
-    reading = track(complete, "reading what is there", console=console, disable=not complete)
-    whole = {frame for frame in reading if _can_be_read(files_of(frame), layout)}
-    return [frame for frame in frames if frame not in whole]
+    reading = track(complete, "reading existing frames", console=console, disable=not complete)
+    readable = {frame for frame in reading if _can_be_read(files_of(frame), layout)}
+    return [frame for frame in frames if frame not in readable]
 
 
 def _can_be_read(files: list[Path], layout: Release) -> bool:

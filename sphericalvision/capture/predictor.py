@@ -8,7 +8,7 @@ import os
 import pickle
 import threading
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import Any, Literal
@@ -64,6 +64,24 @@ class Colors(Mapping[str, Tensor]):
 
     def __len__(self) -> int:
         return len(self._images)
+
+
+@contextmanager
+def no_more_threads_than_cores() -> Iterator[None]:
+    """Limit torch to the cores that the process may use.
+
+    It counts the cores of the machine, not the quota of a container: threads without a core are waited for at the end
+    of each loop, thousands of times a frame. A number that is set in the environment stays.
+    """
+    threads, cores = torch.get_num_threads(), available_cores()
+    if threads <= cores or "OMP_NUM_THREADS" in os.environ:
+        yield
+        return
+    torch.set_num_threads(cores)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 class Predictor:
@@ -232,6 +250,7 @@ class Predictor:
             [Colors(self._on_device(images), self._channels) for images in frames], self.rig
         )
 
+    @no_more_threads_than_cores()
     @torch.inference_mode()
     def __call__(
         self, images: Mapping[str, Any], hint: Hint | CarriedDepth | DepthHint | None = None
@@ -320,23 +339,10 @@ class Predictor:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state, _lock=threading.Lock())
 
-    @contextmanager
-    def _turn(self) -> Iterator[None]:
-        """Wait for one's turn, where two calls at once would take more cores than the process may use.
-
-        torch counts the cores of the machine, not the quota of a container: threads without a core would be waited for
-        at the end of each loop, thousands of times a frame. Who sets their number in the environment decides.
-        """
-        threads, cores = torch.get_num_threads(), available_cores()
-        with nullcontext() if 2 * threads <= cores and self.device.type == "cpu" else self._lock:
-            if threads <= cores or "OMP_NUM_THREADS" in os.environ:
-                yield
-                return
-            torch.set_num_threads(cores)
-            try:
-                yield
-            finally:
-                torch.set_num_threads(threads)
+    def _turn(self) -> AbstractContextManager[Any]:
+        """Wait for one's turn, where two calls at once would take more cores than the process may use."""
+        room = 2 * torch.get_num_threads() <= available_cores()
+        return nullcontext() if room and self.device.type == "cpu" else self._lock
 
     def _on_device(self, images: Mapping[str, Any]) -> dict[str, Tensor]:
         """Images in the order of the cameras; bytes travel as bytes, one image while the next one is made ready."""

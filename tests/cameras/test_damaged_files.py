@@ -239,67 +239,6 @@ def test_anything_in_place_of_a_value(data: st.DataObject) -> None:
     survives(dumped(content, name), name)
 
 
-NEEDED = {
-    "camchain.yaml": ("intrinsics", "resolution", "camera_model", "T_cn_cnm1"),
-    "calibration.json": (
-        "intrinsics",
-        "T_imu_cam",
-        "resolution",
-        "camera_type",
-        "fx",
-        "alpha",
-        "k4",
-        "qw",
-        "px",
-    ),
-    "image_02.yaml": ("model_type", "xi", "k1", "p2", "gamma1", "v0", "image_width", "projection_parameters"),
-    "FV.json": ("intrinsic", "k1", "k4", "cx_offset", "width", "quaternion", "translation"),
-    "fisheye.yaml": ("Camera.nrpol", "Camera.a2", "Camera.pol4", "Camera.c", "Camera.u0", "Camera.Ih"),
-    "device.json": ("Name", "Params", "Translation", "UnitQuaternion"),
-    "sensor.yaml": ("T_BS", "data", "intrinsics", "resolution", "camera_model", "distortion_coefficients"),
-    "settings.yaml": ("Camera.type", "Camera1.fx", "Camera2.k4", "Camera.width", "data"),
-    "transforms.json": ("frames", "transform_matrix", "w"),
-    "stereo.yaml": ("M1", "M2", "data", "rows"),
-}
-
-
-UNNEEDED = {"config", "dataset", "img_dir", "invalid_mask", "version", "format", "name", "cam_id"}
-UNNEEDED |= {"inv_poly", "max_fov", "model"}
-"""Keys of the files below that may say anything, or nothing: all others are needed, with all that they hold."""
-WHOLE = [*NEEDED, "config.yaml", "basalt.json", "rig.yaml"]
-
-
-DELETED = "deleted"
-
-
-@pytest.mark.parametrize(
-    ("name", "junk"),
-    [
-        *((name, junk) for name in WHOLE for junk in ("words", None, [], {}, float("nan"))),
-        *((name, DELETED) for name in NEEDED),
-    ],
-    ids=repr,
-)
-def test_needed_values_are_refused_by_name(name: str, junk: Any) -> None:
-    """Not only no raw error: a file in which something needed is broken is never read."""
-    intact = CONTENTS[name]()
-    keys = NEEDED.get(name)
-    for *way, last in places(intact):
-        if UNNEEDED & {*way, last} if keys is None else last not in keys:
-            continue
-        content: Any = copy.deepcopy(intact)
-        inner = content
-        for key in way:
-            inner = inner[key]
-        if junk is DELETED:
-            del inner[last]
-        else:
-            inner[last] = junk
-        with written(dumped(content, name), name) as path, pytest.raises(FileFormatError) as caught:
-            read_everything(path)
-        assert str(path) in str(caught.value)
-
-
 @pytest.mark.parametrize("damage", ["nan 0 0", "0 0", "2 0 0", "words 0 0"])
 def test_poses_of_folders(tmp_path: Path, damage: str) -> None:
     (tmp_path / "image_02.yaml").write_text(yaml.safe_dump(mei()))

@@ -18,8 +18,6 @@ from tests.cameras.test_calibration import OCAM as OCAM_TEXT
 from tests.cameras.test_damaged_files import CONTENTS, TEXTS
 from tests.cameras.test_understood import DUAL, OTHER_TEXTS, SCALE, read
 
-GONE = object()
-"""In place of a value: its key is not there."""
 FILES = CONTENTS | {
     "blender.json": lambda: {"cameras": {"lens": blender()["cameras"]["fisheye_lens_polynomial"]}}
 }
@@ -36,11 +34,9 @@ VALUES: dict[str, list[tuple[str, Any, str]]] = {  # file -> the way to a value,
         ("cam0/resolution", [752], "cam0, resolution: expected 2 numbers"),
         ("cam0/resolution", [752.5, 480], "cam0, resolution: expected the width and height"),
         ("cam1/T_cn_cnm1/0/0", 2.0, "cam1, T_cn_cnm1: expected a rotation"),
-        ("cam1/T_cn_cnm1", GONE, "cam1: the key 'T_cn_cnm1' is missing"),
     ],
     "image_02.yaml": [
         ("model_type", "CATADIOPTRIC", "model_type: expected one of MEI, PINHOLE, KANNALA_BRANDT, SCARAMUZZA"),
-        ("mirror_parameters", {}, "mirror_parameters: the key 'xi' is missing"),
         ("mirror_parameters/xi", -2.0, "xi: expected numbers above -1"),
         ("image_width", 0, "image_width and image_height: expected the width and height"),
         ("projection_parameters", {"gamma1": 1.0}, "projection_parameters: the key"),
@@ -51,12 +47,9 @@ VALUES: dict[str, list[tuple[str, Any, str]]] = {  # file -> the way to a value,
         ("Camera.nrpol", 0.5, "Camera.nrpol: expected a count"),
         ("Camera.c", 0.0, "Camera.c: expected a number above 0"),
         ("Camera.a0", 209.2, "first coefficient of an OCam polynomial is negative"),
-        ("Camera.Iw", None, "Camera.Iw and Camera.Ih: expected numbers"),
-        ("Camera.u0", "middle", "Camera.u0: expected numbers"),
     ],
     "FV.json": [
         ("intrinsic/model", "rectilinear", "intrinsic, model: expected radial_poly, got 'rectilinear'"),
-        ("intrinsic/k3", None, "intrinsic, k3: expected numbers"),
         ("intrinsic/poly_order", 5, "intrinsic: the key 'k5' is missing"),
         ("intrinsic/poly_order", 0.5, "poly_order: expected a count"),
         ("intrinsic/k1", -1.0, "intrinsic: polynomial: expected"),
@@ -67,24 +60,20 @@ VALUES: dict[str, list[tuple[str, Any, str]]] = {  # file -> the way to a value,
     "transforms.json": [
         ("camera_model", "FISHEYE624", "camera_model: expected one of PINHOLE"),
         ("camera_model", "OPENCV", "k4: expected 0 of the camera_model OPENCV, got 0.0002"),
-        ("frames", [], "frames: expected a list of at least one entry"),
         ("fl_x", -3, "expected positive focal lengths"),
         ("w", 0.5, "w and h: expected the width and height"),
     ],
     "basalt.json": [
         ("value0/intrinsics/0/camera_type", "spherical", "intrinsics[0], camera_type: expected one of ds, eucm, "),
         ("value0/T_imu_cam/0/qw", 0.0, "T_imu_cam[0]: expected a quaternion of length 1"),
-        ("value0/T_imu_cam/0/qw", GONE, "T_imu_cam[0]: the key 'qw' is missing"),
         ("value0/resolution", [[160, 128]], "value0, resolution: holds 1 cameras and intrinsics 2"),
     ],
     "config.yaml": [
         ("cameras/0/pose", [0, 0, 0, 0, math.nan, 0], "cameras[0] (cam1), pose: expected finite numbers"),
         ("cameras/0/pose", [0, 0, 0], "cameras[0] (cam1), pose: expected 6 numbers, got 3"),
         ("cameras/0/poly", [5, -100.0, 0.0, 0.0025], "direct polynomial: announces 5 coefficients but holds 3"),
-        ("cameras/0/center", "middle", "center: expected 2 numbers, got 1"),
         ("cameras/0/model", "pinhole", "model: expected ocam, got 'pinhole'"),
         ("cameras/0/cam_id", 2, "cameras[1] (cam2): a second camera named 'cam2'"),
-        ("cameras/1/affine", GONE, "cameras[1] (cam2): the key 'affine' is missing"),
     ],
     "rig.yaml": [
         ("version", 2, "reads version 1, got 2"),
@@ -108,7 +97,6 @@ VALUES: dict[str, list[tuple[str, Any, str]]] = {  # file -> the way to a value,
         ("M1", [*IDENTITY[:2], [0, 0, 2]], "M1: expected 0 0 1"),
         ("M1/data", [1.0] * 8, "M1: announces 3 x 3 numbers but holds 8"),
         ("D1", [0.1, 0.2], "D1: expected 4 or 5 coefficients"),
-        ("image_width", "wide", "image_width and image_height: expected numbers"),
     ],
     "blender.json": [
         ("cameras/lens/fisheye_polynomial_k0", 0.01, "fisheye_polynomial_k0: expected 0, as the axis is in the middle"),
@@ -229,10 +217,7 @@ def test_a_wrong_value_is_named(tmp_path: Path, name: str, way: str, value: Any,
     inner, *keys = content, *(int(key) if key.isdigit() else key for key in way.split("/"))
     for key in keys[:-1]:
         inner = inner[key]
-    if value is GONE:
-        del inner[keys[-1]]
-    else:
-        inner[keys[-1]] = value
+    inner[keys[-1]] = value
     assert message in said(tmp_path, name, dumped(content, name))
 
 

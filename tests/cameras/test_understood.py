@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import re
 import warnings
 from collections.abc import Iterator
@@ -77,6 +78,10 @@ def changed(value: Any) -> Any:
     return [changed(inner) for inner in value] if isinstance(value, list) else f"{value}x"
 
 
+JUNK: tuple[Any, ...] = ("words", [], math.nan, None)
+"""In place of a value; the last one, in place of the first number of a list."""
+
+
 def damages(content: Any) -> Iterator[tuple[str, str, str, Any]]:
     """A kind of damage, the key, what it became, and the file; each key once, wherever it stands first."""
     seen: set[str] = set()
@@ -86,6 +91,14 @@ def damages(content: Any) -> Iterator[tuple[str, str, str, Any]]:
         seen.add(last)
         middle = (len(last) + 1) // 2
         words = [("removed", ""), ("misspelt", f"{last}s"), ("misspelt", last[:middle] + last[middle + 1 :])]
+        for junk in JUNK:
+            damaged = copy.deepcopy(content)
+            inner = damaged
+            for step in way:
+                inner = inner[step]
+            is_list = isinstance(inner[last], list) and isinstance(inner[last][0], float)
+            inner[last] = [junk, *inner[last][1:]] if junk is None and is_list else junk
+            yield "junk", last, "", damaged
         for kind, key in [*words, ("neighbour", f"{last}2"), ("neighbour", f"{last}_new")]:
             damaged: Any = copy.deepcopy(content)
             inner = damaged
@@ -99,6 +112,8 @@ def damages(content: Any) -> Iterator[tuple[str, str, str, Any]]:
             yield kind, last, key, damaged
 
 
+ANYTHING = r"(?i)(.*\W)?(\w*name|label|cam_id|file_path|asymmetrical|inv_poly|D[12]|k4)"
+"""Keys that may say anything, or nothing."""
 COMPLETE_WITHOUT = {  # keys of which the rest is a file as its producers write it, too
     "camchain.yaml": r"cam\d",
     "config.yaml": "inv_poly",
@@ -135,9 +150,15 @@ def test_each_key_is_understood_or_refused_by_name(tmp_path: Path, name: str) ->
         told = f"{kind}: {last} {key}: {found}"
         if isinstance(found, str):
             assert (
-                last in found or (key and key in found) or "not a calibration" in found or last[0] == "M"
+                last in found
+                or (key and key in found)
+                or "not a calibration" in found
+                or last[0] == "M"
+                or "distortion" in last
             ), told
-        elif not (kind == "removed" and re.fullmatch(COMPLETE_WITHOUT.get(name, ""), last)):
+        elif not re.fullmatch(
+            ANYTHING if kind == "junk" else COMPLETE_WITHOUT.get(name, "") if kind == "removed" else "", last
+        ):
             assert same(intact, found), told
 
 

@@ -3,6 +3,16 @@
 
 Shared by the Brown-Conrady and the unified model. Coefficients (*, k) are in OpenCV's order, k1 k2 p1 p2 k3 k4 k5 k6
 s1 s2 s3 s4, cut off after 4, 5, 8 or 12; leading dimensions broadcast with the coordinates (*).
+
+With r² = x² + y², the radial factor g = (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶), g' = dg/dr² and
+A = g + 2 p1 y + 2 p2 x::
+
+    u = A x + p2 r² + s1 r² + s2 r⁴        v = A y + p1 r² + s3 r² + s4 r⁴
+
+    ┌ ux uy ┐   ┌ A + 2 g' x² + 4 p2 x          2 g' x y + 2 p1 x + 2 p2 y ┐     ┌ x (s1 + 2 s2 r²)  y (s1 + 2 s2 r²) ┐
+    └ vx vy ┘ = └ 2 g' x y + 2 p1 x + 2 p2 y    A + 2 g' y² + 4 p1 y       ┘ + 2 └ x (s3 + 2 s4 r²)  y (s3 + 2 s4 r²) ┘
+
+In code r² is ``squared``, g ``radial``, its denominator ``divisor``, g' ``slope`` and A ``factor``.
 """
 
 from __future__ import annotations
@@ -31,7 +41,7 @@ __all__ = [
 ]
 
 LARGEST_RADIUS = 1e4  # tan(89.994°): its eighth power still fits into float32
-_SAMPLES = 256
+_SAMPLES = 256  # at equal angles, 0.35° apart
 _STEP = math.atan(LARGEST_RADIUS) / (_SAMPLES - 1)
 
 
@@ -87,6 +97,7 @@ def distort(
     """
     p1, p2 = coefficients[..., 2], coefficients[..., 3]
     squared = addcmul(x * x, y, y)
+    # Polynomials turn back far outside; a bounded r² keeps those points outside instead of on top of the image.
     if largest is not None:
         squared = torch.minimum(squared, largest)
     radial, divisor = _radial(coefficients, squared)
@@ -127,7 +138,8 @@ def distort_inside(
 def _determinant(x: Tensor, y: Tensor, distorted: Distorted, coefficients: Tensor) -> Tensor:
     """The sign of the Jacobian's determinant, with less work than ``jacobian`` without thin prism distortion.
 
-    With A = g + 2 p1 y + 2 p2 x it is A (3 A − 2 (g − r² g')) − 4 (p1 x − p2 y)², of which a third is returned.
+    The determinant is A (3 A − 2 (g − r² g')) − 4 (p1 x − p2 y)², as 2 p1 y + 2 p2 x = A − g. A third of it has the
+    same sign and one multiplication less.
     """
     if coefficients.shape[-1] >= 12:
         return jacobian(x, y, distorted, coefficients).determinant
@@ -155,7 +167,7 @@ def jacobian(
     p1, p2 = coefficients[..., 2], coefficients[..., 3]
     squared, factor = distorted.squared, distorted.factor
     twice = 2 * _radial_slope(coefficients, distorted)
-    along = twice * x
+    along = twice * x  # 2 g' x, which both rows need
     mixed = addcmul(addcmul(2 * p1 * x, 2 * p2, y), along, y)
     ux, uy = addcmul(factor, x, along + 4 * p2), mixed
     vx, vy = mixed, addcmul(factor, y, addcmul(4 * p1, twice, y))
@@ -175,6 +187,8 @@ def radius_limit(coefficients: Float[Tensor, "*batch k"]) -> Float[Tensor, "*bat
     """
     with torch.no_grad():
         growing, upright = (signs.to(coefficients) for signs in _radial_signs(coefficients))
+        # Halfway between the first fold and the next turn: there the determinant alone tells inside from outside,
+        # and rounding near either of them does not matter.
         before = growing.cumprod(-1)  # 1 up to the first fold
         until = torch.cummax(upright * (1 - before), -1).values  # 1 from where it turns again
         center = (_SAMPLES + (before - until).sum(-1)) / 2
@@ -201,6 +215,7 @@ def fold_radius(coefficients: Float[Tensor, "*batch k"], azimuths: int = 32) -> 
             slopes = jacobian(x, y, distort(x, y, coefficients), coefficients)
             return torch.where(angle <= limit + 1e-6, slopes.determinant, -1.0)
 
+        # By angle, not by radius: a search up to 10⁴ in equal steps of the radius would skip the image.
         end = torch.full((*coefficients.shape[:-3], azimuths), math.atan(LARGEST_RADIUS)).to(azimuth)
         return torch.tan(increasing_limit(determinant, end, _SAMPLES)).amax(-1)
 
@@ -261,6 +276,7 @@ def invert_plane_map(
         iterations: steps that autograd does not record; two more are recorded.
     """
     with torch.no_grad():
+        # The centre is always inside. The start is its first step, which is halved as any other one if it leads out.
         x, y = torch.zeros_like(u), torch.zeros_like(v)
         step_x, step_y = start
         for _ in range(iterations):
@@ -274,6 +290,8 @@ def invert_plane_map(
             x, y = torch.where(allowed, new_x, x), torch.where(allowed, new_y, y)
             step_x = torch.where(allowed, newton_x, step_x / 2)
             step_y = torch.where(allowed, newton_y, step_y / 2)
+    # A recorded Newton step from the solution has the derivative of the inverse, and a second one the second
+    # derivative. Where none was found both are masked before the division, so that no NaN comes back in gradients.
     converged = torch.zeros_like(u, dtype=torch.bool)
     for recorded in range(2):
         new_u, new_v, slopes = function(x, y)
@@ -301,6 +319,7 @@ def _newton_step(u: Tensor, v: Tensor, slopes: Jacobian, determinant: Tensor) ->
 
 def _radial_start(u: Tensor, v: Tensor, coefficients: Tensor) -> tuple[Tensor, Tensor]:
     """The solution (x, y) were there no tangential and thin prism distortion, to some digits."""
+    # As many samples as there are before the fold are spread anew up to it: beyond it the table would not be monotonic.
     growing = _radial_signs(coefficients)[0].to(u).cumprod(-1).sum(-1, keepdim=True)
     radius = torch.tan((growing - 1).clamp_min(1) / (_SAMPLES - 1) * _angles(coefficients))
     radial, _ = _radial(coefficients.unsqueeze(-2), radius * radius)
@@ -319,6 +338,7 @@ def _radial_signs(coefficients: Tensor) -> tuple[Tensor, Tensor]:
     squared = torch.tan(_angles(coefficients)).square()
     radial, divisor = _radial(coefficients, squared)
     slope = _radial_slope(coefficients, Distorted(radial, radial, squared, radial, divisor, radial))
+    # The distorted radius is r g, whose derivative g + 2 r² g' is ``rising``; g < 0 is beyond the centre.
     outwards, rising = radial > 0, radial + 2 * squared * slope > 0
     growing = outwards & rising if divisor is None else outwards & rising & (divisor > 0)
     return growing, outwards == rising

@@ -84,10 +84,12 @@ def calibrate_camera(
         raise ArgumentError(f"field_of_view: expected radians in (0, 2π), got {field_of_view}")
     ideal = FisheyeCamera.from_field_of_view(image_size, field_of_view, dtype=torch.float64)
     camera: Camera = ideal.with_max_angle(math.pi)
+    # The axis stays in the middle of the image until the focal length, which may be a third off, is about right.
     camera = refine(camera, points, pixels, seen, fixed=("principal_point",)).camera
     camera = convert(
         refine(camera, points, pixels, seen).camera, KannalaBrandtCamera, num_coefficients=2
     ).camera
+    # A Kannala-Brandt lens of two coefficients is the start of every model, which is then fitted to it.
     refined = refine(camera, points, pixels, seen)
     camera = refined.camera.with_max_angle(min(_reached(refined), view_of(refined.camera).widest))
     start = convert(camera, model, num_coefficients=num_coefficients, projection=projection).camera
@@ -152,6 +154,7 @@ def calibrate_rig(
         raise ShapeError(f"pixels: expected (n, {len(names)}, m, 2), got {tuple(pixels.shape)}")
     seen = torch.ones(pixels.shape[:-1], dtype=torch.bool) if seen is None else seen
     counts = seen.sum(-1)
+    # 1. Each camera alone, with the pose of the object in each of its views.
     alone, errors = {}, []
     for place, (name, size) in enumerate(image_sizes.items()):
         views = (counts[:, place] >= FEWEST).nonzero().flatten()
@@ -172,6 +175,8 @@ def calibrate_rig(
             dict(zip(views.tolist(), calibration.camera_from_points, strict=True)),
         )
         errors.append(calibration.rms_error)
+    # 2. Poses of the cameras along the pairs with most views in common; boards that look the same upside down are
+    #    renumbered by them before anything is fitted together.
     half_turn = _half_turn(points)
     poses = _poses(names, alone, half_turn)
     turned = _turned(poses, alone, half_turn)
@@ -179,14 +184,17 @@ def calibrate_rig(
     for view, place in turned:
         alone[names[place]][1][view] = alone[names[place]][1][view] @ half_turn
     rig = CameraRig({name: camera for name, (camera, _) in alone.items()}, poses)
+    # 3. Everything together, without views that contradict the others: least squares would spread their error.
     free = sorted({name for camera in rig.cameras.values() for name in refinable_intrinsics(camera)})
     agreeing = seen.cpu() & ~_astray(rig, alone, points, pixels, seen)[..., None]
     refined = refine_rig(rig, points, pixels, agreeing, intrinsics=free)
+    # 4. Once more without single corners that are wrong, which only the joint fit tells from noise.
     misses = refined.residuals.norm(dim=-1)
     typical = float(misses[misses > 0].median()) if bool((misses > 0).any()) else 0.0
     wrong = misses > max(_WRONG * typical, 1e-6)
     if bool(wrong.any()):
         refined = refine_rig(refined.rig, points, pixels, agreeing & ~wrong, intrinsics=free)
+    # 5. Nothing is known of a lens beyond the outermost corner that it was shown.
     _check_agreement(names, refined, seen, errors)
     cameras = {
         name: camera.with_max_angle(min(_REACH * _farthest(refined, place, pixels), float(camera.max_angle)))

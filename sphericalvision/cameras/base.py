@@ -111,6 +111,8 @@ class Camera:
 
     model: ClassVar[str]
     """Name of the model in files."""
+    is_endless: ClassVar[bool] = False
+    """Whether the model goes up to straight back, so that files leave the end of the view to the image."""
     functions: ClassVar[tuple[Callable[..., Projection], Callable[..., Unprojection]]]
     """The model's pure functions of projection and unprojection; after the points or pixels they take the intrinsics,
     but for a skew, and then the options."""

@@ -62,6 +62,8 @@ class FileFormat:
     """Names of the camera models that are written; none means every model."""
     write_camera: Callable[[Camera, Path], None] | None = None
     write_rig: Callable[[CameraRig, Path], None] | None = None
+    models_with_skew: tuple[str, ...] = ()
+    """Names of the camera models that are written with a skew."""
     holds_masks: bool = False
 
 

@@ -41,11 +41,6 @@ __all__ = [
     "refuse_mask_of_another",
 ]
 
-_WITH_SKEW = ("native", "opencv")
-_WITHOUT_SKEW_IN_OPENCV = ("pinhole", "brown_conrady")  # whose functions take no notice of it
-_ENDLESS = ("kannala_brandt", "double_sphere", "thin_prism_fisheye")
-"""Models whose view a file leaves to its image, up to straight back."""
-
 
 @dataclass(frozen=True)
 class Lens:
@@ -121,7 +116,7 @@ class Lens:
             for name, declared in self._class.declared.items()
             if isinstance(declared, Intrinsic)
         }
-        if max_angle is None and self.model in _ENDLESS:
+        if max_angle is None and self._class.is_endless:
             max_angle = math.pi
         arguments: dict[str, Any] = {**intrinsics, **self.options, "max_angle": max_angle}
         with errors_of_file(where):
@@ -259,7 +254,7 @@ def check_holds(format: str, camera: Camera) -> None:
             f"camera: the format {format!r} has no {camera.model} model, it has {', '.join(models)}. Write it as "
             f"{' or '.join(map(repr, others))}, or convert the camera first: convert(camera, to=...)"
         )
-    formats = _WITH_SKEW[:1] if camera.model in _WITHOUT_SKEW_IN_OPENCV else _WITH_SKEW
+    formats = [other.name for other in file_formats() if camera.model in other.models_with_skew]
     if format not in formats and getattr(camera, "skew", None) is not None:
         raise ArgumentError(
             f"camera: the format {format!r} has no skew; write it as {' or '.join(map(repr, formats))}, or convert "

@@ -126,6 +126,7 @@ register_format(
         usual_names=("rig.yaml",),
         write_camera=write_camera,
         write_rig=CameraRig.to_yaml,
+        models_with_skew=("pinhole", "brown_conrady", "kannala_brandt", "unified"),
         holds_masks=True,
     )
 )

@@ -296,6 +296,7 @@ register_format(
         tells_unit=False,
         ignored=_IGNORED,
         models=("pinhole", "brown_conrady", "kannala_brandt", "unified"),
+        models_with_skew=("kannala_brandt", "unified"),  # whose functions take notice of it
         write_camera=write_opencv,
         write_rig=write_opencv,
     )

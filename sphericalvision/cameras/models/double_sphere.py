@@ -99,6 +99,7 @@ class DoubleSphereCamera(PlaneCamera):
     """
 
     model = "double_sphere"
+    is_endless = True
     functions = project_double_sphere, unproject_double_sphere
 
     xi: Intrinsic = Intrinsic(above=-1, below=1)

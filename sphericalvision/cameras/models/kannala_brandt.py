@@ -192,6 +192,7 @@ class KannalaBrandtCamera(PlaneCamera):
     """
 
     model = "kannala_brandt"
+    is_endless = True
     functions = project_kannala_brandt, unproject_kannala_brandt
 
     distortion: Intrinsic = Intrinsic(*range(1, 10), named="k1 k2 k3 k4 k5 k6 k7 k8 k9")

@@ -225,6 +225,7 @@ class ThinPrismFisheyeCamera(PlaneCamera):
     """
 
     model = "thin_prism_fisheye"
+    is_endless = True
     functions = project_thin_prism_fisheye, unproject_thin_prism_fisheye
 
     distortion: Intrinsic = Intrinsic(*range(1, 10), named="k1 k2 k3 k4 k5 k6 k7 k8 k9")

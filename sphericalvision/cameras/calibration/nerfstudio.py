@@ -51,7 +51,8 @@ _LENSES = (
     Lens("OPENCV_FISHEYE", "kannala_brandt", "fl_x=fx fl_y=fy cx cy k1 k2 k3 k4"),
     PANORAMA,
 )
-_KINDS = tuple(lens.name for lens in _LENSES)
+_MODELS = tuple(lens.name for lens in _LENSES)
+_DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 _OWN = {
     "fl_x",
     "fl_y",
@@ -64,7 +65,7 @@ _OWN = {
     "camera_model",
     "is_fisheye",
 }
-_OWN |= {"k1", "k2", "k3", "k4", "p1", "p2"}
+_OWN |= set(_DISTORTION)
 """Keys by which a frame has a lens of its own."""
 _IGNORED = (
     r"aabb\w*|offset|up|from_na|applied_transform|\w*filenames|sharpness\w*|render_aabb|n_extra_learnable_dims|n_frames"
@@ -123,50 +124,50 @@ def _usable(content: Keys, path: Path) -> list[Keys]:
 
 
 def _camera(values: Keys, options: Options) -> Camera:
-    """The lens of a frame, or of all: a frame's own keys stand for those at the top."""
+    """The lens of a frame, or of all: a frame's own keys count before those at the top."""
     has_size = "w" in values or "h" in values
     height, width = size = values.size("w", "h") if has_size else options.given_size(values.where, "w and h")
-    is_fisheye = values.get("is_fisheye", False)
-    kind = values.get("camera_model") or ("OPENCV_FISHEYE" if is_fisheye else "OPENCV")
-    if kind in ("SIMPLE_RADIAL", "RADIAL"):
-        kind = "OPENCV"
-    elif values.get("camera_model"):
-        kind = values.chosen("camera_model", _KINDS)
-    if is_fisheye and kind != "OPENCV_FISHEYE":
+    model = _model(values)
+    if model == PANORAMA.name:
+        return PANORAMA.camera([], size, values.where)
+    center = [values.number(key, side / 2) - 0.5 for key, side in (("cx", width), ("cy", height))]
+    plane = [*_focal_lengths(values, width, height, model == "OPENCV_FISHEYE"), *center]
+    coefficients = {key: values.number(key) for key in _DISTORTION if values.get(key) is not None}
+    _check_coefficients(coefficients, model, values)
+    is_plain = model != "OPENCV_FISHEYE" and not any(coefficients.values())
+    lens = lens_called(_LENSES, "PINHOLE" if is_plain else model)
+    return lens.camera([*plane, *(coefficients.get(key, 0.0) for key in lens.keys[4:])], size, values.where)
+
+
+def _model(values: Keys) -> str:
+    """The name in ``_LENSES`` that ``camera_model`` and the older ``is_fisheye`` mean, which must agree."""
+    name, is_fisheye = values.get("camera_model"), values.get("is_fisheye", False)
+    if not name:
+        return "OPENCV_FISHEYE" if is_fisheye else "OPENCV"
+    model = "OPENCV" if name in ("SIMPLE_RADIAL", "RADIAL") else values.chosen("camera_model", _MODELS)
+    if is_fisheye and model != "OPENCV_FISHEYE":
         raise FileFormatError(
             f"{values.at('is_fisheye', 'camera_model')}: tell different models; keep the right one"
         )
-    if kind == PANORAMA.name:
-        return PANORAMA.camera([], size, values.where)
-    center = [values.number(key, side / 2) - 0.5 for key, side in (("cx", width), ("cy", height))]
-    plane = [*_focal_lengths(values, width, height, kind == "OPENCV_FISHEYE"), *center]
+    return model
 
-    def get(*keys: str) -> list[float]:
-        return [values.number(key) if values.get(key) is not None else 0.0 for key in keys]
 
-    present = [key for key in ("k1", "k2", "k3", "k4") if values.get(key) is not None]
-    gaps = [key for key in ("k1", "k2", "k3", "k4")[: len(present)] if key not in present]
-    gaps += [
-        key for key, other in (("p1", "p2"), ("p2", "p1")) if values.get(other) and values.get(key) is None
-    ]
+def _check_coefficients(coefficients: dict[str, float], model: str, values: Keys) -> None:
+    """Raise for a coefficient that is missing among others, or that is not 0 and the model has not."""
+    count = sum(key in coefficients for key in _DISTORTION[:4])
+    gaps = [key for key in _DISTORTION[:count] if key not in coefficients]
+    for key, other in (("p1", "p2"), ("p2", "p1")):
+        if coefficients.get(other) and key not in coefficients:
+            gaps.append(key)
     if gaps:
         raise FileFormatError(
             f"{values.where}: the key {gaps[0]!r} is missing, and others of the distortion are there"
         )
-    if kind == "OPENCV_FISHEYE" and any(get("p1", "p2")):
-        raise FileFormatError(f"{values.at('p1', 'p2')}: expected 0 of a fisheye, got {get('p1', 'p2')}")
-    if kind != "OPENCV_FISHEYE":
-        if k4 := get("k4")[0]:
-            raise FileFormatError(f"{values.at('k4')}: expected 0 of the camera_model {kind}, got {k4:g}")
-        more = any(get("k1", "k2", "k3", "p1", "p2"))
-        if more and kind != "OPENCV":
-            raise FileFormatError(
-                f"{values.at('camera_model')}: {kind} with k1, k2, k3, p1 or p2; is it OPENCV?"
-            )
-        if not more:
-            kind = "PINHOLE"
-    lens = lens_called(_LENSES, kind)
-    return lens.camera([*plane, *get(*lens.keys[4:])], size, values.where)
+    unknown = {"OPENCV_FISHEYE": ("p1", "p2"), "OPENCV": ("k4",)}.get(model, _DISTORTION)
+    if wrong := {key: coefficients[key] for key in unknown if coefficients.get(key)}:
+        raise FileFormatError(
+            f"{values.at(*wrong)}: expected 0 of the camera_model {model}, got {list(wrong.values())}"
+        )
 
 
 def _focal_lengths(values: Keys, width: int, height: int, is_fisheye: bool) -> list[float]:

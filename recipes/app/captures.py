@@ -7,7 +7,7 @@ import dataclasses
 import glob
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -21,15 +21,10 @@ from sphericalvision.cameras import Camera, CameraRig, EquirectangularCamera
 from sphericalvision.cameras.robot_frame import OPTICAL_FROM_ROS, read_pose
 from sphericalvision.cameras.trajectory import upright_turn
 from sphericalvision.capture.preparation.dark_surround import without_dark_surround
-from sphericalvision.capture.sources.frames import Selection, Source
+from sphericalvision.capture.sources.frames import Selection, Source, spread_evenly
+from sphericalvision.capture.sources.image_files import IMAGE_SUFFIXES
 from sphericalvision.capture.sources.moving import NAME, Moving
-from sphericalvision.capture.sources.opening import (
-    IMAGE_SUFFIXES,
-    open_source,
-    rig_for_images,
-    rig_with_masks,
-    spread_evenly,
-)
+from sphericalvision.capture.sources.opening import open_source, rig_for_images, rig_with_masks
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.io.images import read_image_size, read_mask, write_mask
 from sphericalvision.io.times import SAME_TIME
@@ -53,6 +48,7 @@ __all__ = [
     "Capture",
     "CaptureFields",
     "PosedCapture",
+    "cameras_and_labels",
     "cut_to_visible",
     "masked_by_itself",
     "print_labels",
@@ -78,9 +74,9 @@ class Capture(Calibration):
         start: position of the first frame.
         stop: position before which to stop.
         every: 2 takes every second frame.
-        cameras: names of the cameras to use, in order.
+        cameras: names of the cameras to use, in order; ``name:label`` says what ``{camera}`` stands for, or a topic.
         masks: pattern of masks, white where usable; ``AUTO``: of the rig's own body, found in the frames.
-        tolerance: seconds between images of one frame, at most, where image files are called by their times.
+        tolerance: seconds between images of one moment, at most.
     """
 
     images: Text
@@ -100,13 +96,13 @@ class Capture(Calibration):
     def open(self) -> Source:
         """The frames, with their rig, in the size of the images and with its masks on (``AUTO`` is none yet)."""
         rig = self.rig()
-        cameras = None if self.cameras is None else names_of(self.cameras, rig)
+        cameras, labels = cameras_and_labels(self.cameras, rig)
         files: list[Path] = []
         if self.masks not in (None, AUTO):
             rig, files = rig_with_masks(rig, self.masks, cameras)
         elif rig.masks and self.masks is None:
             print(f"Masks: of {', '.join(rig.masks)}, which come with {self.calibration}.")
-        source = open_source(self.images, rig, self.frames, files, cameras, self.tolerance)
+        source = open_source(self.images, rig, self.frames, files, cameras, self.tolerance, labels)
         rig = source.rig
         print_labels(source)
         sizes = source.sizes()
@@ -274,10 +270,36 @@ class PosedCapture(Capture):
         return source
 
 
+def cameras_and_labels(
+    cameras: Sequence[str | int] | None, rig: CameraRig
+) -> tuple[list[str] | None, dict[str, str]]:
+    """Names of the cameras in use, and the labels of those that a configuration has as ``name:label``.
+
+    Raises:
+        ArgumentError: the rig has no such camera.
+
+    Examples:
+        >>> from sphericalvision.cameras import ring_rig
+        >>> cameras_and_labels(["cam2:/left/image_raw", "cam1"], ring_rig(2))
+        (['cam2', 'cam1'], {'cam2': '/left/image_raw'})
+    """
+    if cameras is None:
+        return None, {}
+    names, labels = [], {}
+    for entry in map(str, cameras):
+        name, _, label = (entry, "", "") if entry in rig.cameras else entry.partition(":")
+        names.append(name)
+        if label:
+            labels[name] = label
+    return names_of(names, rig), labels
+
+
 def print_labels(source: Source) -> None:
-    """Print which files or streams are whose, where it is not said by their names."""
+    """Print which files, streams or topics are whose, where their names do not say it, and how images were paired."""
     if source.labels:
         print("Images: " + ", ".join(f"{name} is {label}" for name, label in source.labels.items()) + ".")
+    if source.pairing:
+        print(f"Images: {source.pairing}.")
 
 
 def masked_by_itself(source: Source, folder: Path | None = None) -> CameraRig:

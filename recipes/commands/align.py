@@ -18,8 +18,7 @@ from sphericalvision.cameras.calibration import RIG_FORMATS
 from sphericalvision.cameras.remapping.lookup import pixels_a_radian
 from sphericalvision.capture import Predictor, align_rig, calibrate_photometry
 from sphericalvision.capture.alignment import LEVEL, RigTurns
-from sphericalvision.capture.sources.frames import Selection, Source
-from sphericalvision.capture.sources.opening import spread_evenly
+from sphericalvision.capture.sources.frames import Selection, Source, spread_evenly
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.icosphere import icosphere_vertices
 from sphericalvision.recipes.app.captures import AUTO, Capture, cut_to_visible, masked_by_itself

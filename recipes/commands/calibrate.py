@@ -20,11 +20,9 @@ from sphericalvision.cameras.registry import camera_model_names
 from sphericalvision.capture import calibrate_rig
 from sphericalvision.capture.calibrating.boards import Board, Charuco, Checkerboard, read_board
 from sphericalvision.capture.calibrating.refine import FEWEST, RefinedRig
-from sphericalvision.capture.sources.frames import Selection
+from sphericalvision.capture.sources.frames import Selection, spread_evenly
 from sphericalvision.capture.sources.joined_views import rig_of_views, split_views
-from sphericalvision.capture.sources.opening import spread_evenly
-from sphericalvision.capture.sources.streams import count_streams
-from sphericalvision.capture.sources.videos import VIDEO_SUFFIXES, Videos
+from sphericalvision.capture.sources.videos import VIDEO_SUFFIXES, Videos, read_streams
 from sphericalvision.core import ArgumentError, MissingFileError, check_choice
 from sphericalvision.geometry import angle_from_axis
 from sphericalvision.io.files import by_numbers
@@ -215,10 +213,10 @@ def _moments(files: Mapping[str, Mapping[str, Path]], views: list[str], num_fram
 def _of_videos(files: Mapping[str, Path], views: list[str], num_frames: int) -> Iterator[Moment]:
     if views:
         source = Videos({"": files[LONE]}, rig_of_views(views, (8, 8 * len(views))))
-        if "" in source.files:
-            source.whole = source.rig = rig_of_views(views, source.picture_sizes[""])
+        if "" in source.streams:
+            source.whole = source.rig = rig_of_views(views, source.streams[""].size)
         print_labels(source)
-    elif list(files) == [LONE] and (number := count_streams(files[LONE])) > 1:
+    elif list(files) == [LONE] and (number := len(read_streams(files[LONE]))) > 1:
         raise ArgumentError(
             f"cameras: {files[LONE]} has {number} video streams; name their cameras, [front,back]"
         )

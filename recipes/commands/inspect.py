@@ -21,7 +21,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.files import part_of_name
 from sphericalvision.io.images import write_image
-from sphericalvision.recipes.app.captures import print_labels, visible_part
+from sphericalvision.recipes.app.captures import cameras_and_labels, print_labels, visible_part
 from sphericalvision.recipes.app.cli import console, print_table
 from sphericalvision.recipes.app.kinds import STRICT, Distance, Names, Number, OnlyWith, Text
 from sphericalvision.recipes.app.rigs import Calibration, keys_named
@@ -120,7 +120,8 @@ def save_pictures(
 def inspect(config: InspectConfig, folder: Path) -> list[Path]:
     """Print what is to be known about ``config.file`` and write pictures to ``folder``; returns the files."""
     whole, has_poses = load_rig(config)
-    cameras = whole.names if config.cameras is None else [str(name) for name in config.cameras]
+    names, labels = cameras_and_labels(config.cameras, whole)
+    cameras = names or list(whole.names)
     rig = whole.subset(cameras)
     files: list[Path] = []
     if config.masks is not None:
@@ -130,7 +131,7 @@ def inspect(config: InspectConfig, folder: Path) -> list[Path]:
     if config.images is not None:
         frames = None if config.frame is None else [config.frame]
         with keys_named(frames="frame"):
-            source = open_source(config.images, whole, frames, files, cameras)
+            source = open_source(config.images, whole, frames, files, cameras, labels=labels)
         print_labels(source)
         samples = [as_photographs(frame.images, rig) for frame in source.samples() if frame.images]
         if not samples:

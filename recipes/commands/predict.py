@@ -291,6 +291,8 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
         say(f"{len(set(names)) - len(remaining)} frame(s) are in {folder} already, in each of its outputs")
     wrong = run(source, selection, predictor, outputs, remaining, config.on_error == "stop", hints)
     _report(outputs)
+    for note in source.notes:
+        print(f"Warning: {note}")
     if wrong:
         number = "some" if names is None else f"{len(wrong)} of {len(names)}"
         raise FileFormatError(f"{number} frames were left out. The first: {wrong[0]}")

@@ -20,8 +20,7 @@ from sphericalvision.capture.predictor import check_number
 from sphericalvision.capture.preparation.nearest import nearest_hypothesis
 from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.capture.pseudo_labels import PseudoLabeller, PseudoLabels
-from sphericalvision.capture.sources.frames import Selection, Source
-from sphericalvision.capture.sources.opening import spread_evenly
+from sphericalvision.capture.sources.frames import Selection, Source, spread_evenly
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import SampleView
 from sphericalvision.data.sample_view import ToView

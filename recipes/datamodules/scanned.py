@@ -13,7 +13,7 @@ from annotated_types import Ge, Gt, Le, Len
 from torch.utils.data import Dataset
 
 from sphericalvision.cameras.robot_frame import read_pose
-from sphericalvision.capture.sources.frames import Files
+from sphericalvision.capture.sources.image_files import ImageFiles
 from sphericalvision.core import ArgumentError, check_file
 from sphericalvision.data import PhotometricAugmentation
 from sphericalvision.data.augmentation.transforms import Compose
@@ -261,7 +261,7 @@ class OwnScansDataModule(CaptureFields, ScannedDataModule):
     def __post_init__(self) -> None:
         super().__post_init__()
         source = self.capture_with(frames=self.frames_named, tolerance=self.tolerance).open()
-        if type(source) is not Files or any("" in files for files in source.files.values()):
+        if not isinstance(source, ImageFiles) or any("" in files for files in source.moments.values()):
             raise ArgumentError(
                 "data.images: scans lie beside image files, one for each camera and frame; expected such, not videos, "
                 "bags or pictures of all views"
@@ -281,7 +281,7 @@ class OwnScansDataModule(CaptureFields, ScannedDataModule):
         if self.lidar_pose is not None:
             path = check_file(self.lidar_pose, "the pose of the scanner, data.lidar_pose,")
             pose = read_pose(path, "data.lidar_pose")
-        files = self.source.files
+        files = self.source.moments
         scans = OwnScans(
             files, self.source.rig, self.points, pose, height, transform, self.tolerance, self.point_columns
         )

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.hints import Hint, inverse_of
-from sphericalvision.capture.sources.frames import find_capture, find_labels
+from sphericalvision.capture.sources.patterns import find_files, find_labels
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.data.point_files import read_points
 from sphericalvision.io.images import read_pages
@@ -81,7 +81,7 @@ class HintFiles:
         cameras = rig.names if self.of_cameras else ("",)
         labels = find_labels(pattern, whole, cameras, key="hint") if whole and self.of_cameras else None
         frames = names if "{frame" in pattern else None
-        files = find_capture(pattern, cameras, frames, key="hint", labels=labels)
+        files = find_files(pattern, cameras, frames, key="hint", labels=labels).frames
         if frames is None and len(names) > 1:
             raise ArgumentError(f"hint: {pattern!r} has no {{frame}}, there are {len(names)} frames")
         self._files = dict(zip(names, files.values(), strict=True))

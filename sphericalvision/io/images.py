@@ -24,6 +24,7 @@ from sphericalvision.io.files import write_bytes
 __all__ = [
     "MAX_PIXELS",
     "as_bytes",
+    "decode_image",
     "read_image",
     "read_image_size",
     "read_mask",
@@ -63,6 +64,20 @@ def read_pages(path: str | Path, what: str = "an image") -> list[Array]:
         FileFormatError: the file is not an image, is cut short, or says that it has more than ``MAX_PIXELS`` pixels.
     """
     return [_to_rgb(page) for page in _decoded(path, what)]
+
+
+def decode_image(encoded: Array, where: str, what: str = "an image") -> Array:
+    """Decode the first page of an image file in memory as stored, ``(h, w)`` or RGB ``(h, w, 3)``; checks as of files.
+
+    Args:
+        encoded: bytes of the file.
+        where: it comes from, for messages.
+        what: what is expected there, for messages.
+
+    Raises:
+        FileFormatError: as of ``read_pages``.
+    """
+    return _to_rgb(_decode(encoded, where, what)[0])
 
 
 def read_image_size(path: str | Path) -> Size:
@@ -272,7 +287,10 @@ def _white_of_pnm(path: str | Path) -> int | None:
 def _decoded(path: str | Path, what: str, image_size: Size | None = None) -> list[Array]:
     """All pages as OpenCV decodes them, after what ``read_pages`` checks."""
     path = check_file(path, what)
-    encoded = np.fromfile(path, dtype=np.uint8)
+    return _decode(np.fromfile(path, dtype=np.uint8), path, what, image_size)
+
+
+def _decode(encoded: Array, path: str | Path, what: str, image_size: Size | None = None) -> list[Array]:
     sizes, turned = _sizes(encoded)
     if turned:
         raise FileFormatError(
@@ -344,7 +362,7 @@ def _chunks_fit(encoded: Array) -> bool:
     return at + 12 <= len(content)
 
 
-def _check_sizes(path: Path, sizes: list[Size], image_size: Size | None) -> None:
+def _check_sizes(path: str | Path, sizes: list[Size], image_size: Size | None) -> None:
     if image_size is not None and sizes and sizes[0] != tuple(image_size):
         raise FileFormatError(
             f"{path}: expected {image_size[1]} x {image_size[0]} pixels (width x height, from the "

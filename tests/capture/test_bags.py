@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags of ROS: four topics of images are the frames that the pictures are; what is not understood is told."""
+"""Bags of ROS: pictures in every encoding are what the camera saw, and topics are found by name or refused."""
 
 from __future__ import annotations
 
+import io
 import shutil
 from pathlib import Path
 from typing import Any
@@ -10,154 +11,242 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture.sources.bags import Bag
 from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.capture.sources.opening import open_source
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
+from tests.capture.bags import raw_fields, write_bag
 
-rosbag1 = pytest.importorskip("rosbags.rosbag1")
-rosbag2 = pytest.importorskip("rosbags.rosbag2")
-from rosbags.typesys import Stores, get_typestore  # noqa: E402
-
-RIG = ring_rig(4, image_size=(12, 16))
-START = 1_700_000_000_000_000_000
-STEP = 100_000_000
-PICTURES = {
-    name: np.random.default_rng(place).integers(0, 256, (3, 12, 16, 3), np.uint8)
-    for place, name in enumerate(RIG.names)
-}
-"""Of each camera three, a tenth of a second apart; the cameras are 2 ms apart."""
+RIG = ring_rig(2, image_size=(12, 16))
+TIME = 1_700_000_000_000_000_000
+PICTURE = np.random.default_rng(0).integers(0, 256, (12, 16, 3), np.uint8)
+GREY = PICTURE[..., 0]
+DEEP = PICTURE[..., 0].astype(np.uint16) * 256 + PICTURE[..., 1]
 
 
-def write(path: Path, kind: str = "mcap", encoding: str = "rgb8", topic: str = "/{name}/image_raw") -> Path:
-    """A bag of these pictures; the last camera lacks the last one."""
-    ros1 = kind == "bag"
-    types = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.LATEST)
-    header, time = types.types["std_msgs/msg/Header"], types.types["builtin_interfaces/msg/Time"]
-    if ros1:
-        writer = rosbag1.Writer(path)
-    else:
-        plugin = rosbag2.StoragePlugin.MCAP if kind == "mcap" else rosbag2.StoragePlugin.SQLITE3
-        writer = rosbag2.Writer(path, version=9, storage_plugin=plugin)
-    with writer:
-        for place, (name, pictures) in enumerate(PICTURES.items()):
-            compressed = encoding in ("png", "nonsense")
-            message_type = f"sensor_msgs/msg/{'CompressedImage' if compressed else 'Image'}"
-            connection = writer.add_connection(
-                topic.format(name=name, place=place), message_type, typestore=types
-            )
-            for number, picture in enumerate(pictures[: 2 if name == "cam4" else 3]):
-                stamp = START + STEP * number + 2_000_000 * place
-                values: dict[str, Any] = {"seq": 0} if ros1 else {}
-                head = header(stamp=time(sec=stamp // 10**9, nanosec=stamp % 10**9), frame_id=name, **values)
-                if compressed:
-                    ok = encoding == "png"
-                    data = cv2.imencode(".png", picture[..., ::-1])[1] if ok else np.arange(9, dtype=np.uint8)
-                    message = types.types[message_type](header=head, format=encoding, data=data)
-                else:
-                    pixels = picture[..., ::-1] if encoding == "bgr8" else picture
-                    pixels = np.pad(pixels.reshape(12, 48), ((0, 0), (0, 5)))  # rows may be padded
-                    message = types.types[message_type](
-                        header=head,
-                        height=12,
-                        width=16,
-                        encoding=encoding,
-                        is_bigendian=0,
-                        step=53,
-                        data=pixels.flatten(),
-                    )
-                if ros1:
-                    raw = types.serialize_ros1(message, message_type)
-                else:
-                    raw = types.serialize_cdr(message, message_type)
-                writer.write(connection, stamp + 3_000_000, raw)  # recorded later than taken
-    return path
+def named(*names: str) -> CameraRig:
+    return CameraRig(dict(zip(names, RIG.cameras.values(), strict=True)), RIG.world_from_camera)
 
 
-@pytest.mark.parametrize(
-    ("kind", "encoding"), [("mcap", "rgb8"), ("mcap", "png"), ("db3", "bgr8"), ("bag", "rgb8")]
-)
-@pytest.mark.parametrize("cameras", [None, ["cam3", "cam1"]])
-def test_a_bag_of_topics_is_the_frames_of_its_pictures(
-    tmp_path: Path, kind: str, encoding: str, cameras: list[str] | None
-) -> None:
-    path = write(tmp_path / ("run.bag" if kind == "bag" else "run"), kind, encoding)
-    places = [path] if kind == "bag" else [path, next(path.glob(f"*.{kind}"))]
-    if kind != "bag":
-        places.append(shutil.copy(places[1], tmp_path / f"alone.{kind}"))  # without metadata.yaml
-    for images in places:
-        source = open_source(str(images), RIG, cameras=cameras)
+def of_topics(path: Path, topics: dict[str, Any], **keys: Any) -> Path:
+    """A bag with a message of each topic at one time."""
+    return write_bag(path, [(topic, TIME, TIME, content) for topic, content in topics.items()], **keys)
+
+
+def first_image(path: Path, rig: CameraRig = RIG, **keys: Any) -> np.ndarray:
+    """The first camera's picture."""
+    (frame,) = open_source(str(path), rig, **keys).frames(Selection(), lambda name: True)
+    if frame.images is None:
+        raise frame.error or AssertionError("no image")
+    return np.asarray(next(iter(frame.images.values())))
+
+
+@pytest.mark.parametrize("storage", ["mcap", "db3", "bag"])
+def test_a_bag_is_read_by_its_folder_and_by_its_file(tmp_path: Path, storage: str) -> None:
+    path = tmp_path / ("run.bag" if storage == "bag" else "run")
+    of_topics(path, {f"/{name}/image_raw": PICTURE for name in RIG.names}, storage=storage)
+    paths = [path] if storage == "bag" else [path, next(path.glob(f"*.{storage}"))]
+    if storage != "bag":
+        paths.append(shutil.copy(paths[1], tmp_path / f"alone.{storage}"))  # without metadata.yaml
+    for images in paths:
+        source = open_source(str(images), RIG)
         assert isinstance(source, Bag)
-        used = cameras or list(RIG.names)
-        assert source.sizes() == dict.fromkeys(used, (12, 16))
-        assert not source.labels
-        first = START + 2_000_000 * RIG.names.index(used[0])
-        numbers = range(2) if cameras is None else range(3)
-        assert source.names(Selection()) == [str(first + STEP * number) for number in numbers]
-        assert len(source.samples()) >= 2
-        for number, frame in enumerate(source.frames(Selection(), lambda name: True)):
-            assert frame.images is not None
-            assert list(frame.images) == used
-            for name, image in frame.images.items():
-                np.testing.assert_array_equal(image, PICTURES[name][number])
+        assert source.names(Selection()) == [str(TIME)]
+        assert source.sizes() == dict.fromkeys(RIG.names, (12, 16))
+        np.testing.assert_array_equal(first_image(images), PICTURE)
 
 
-def test_topics_of_other_names_belong_to_cameras_in_their_order(tmp_path: Path) -> None:
-    source = open_source(str(write(tmp_path / "run", topic="/camera_{place}/image")), RIG, cameras=["cam2"])
-    assert source.labels == {"cam2": "/camera_1/image"}
-    (frame,) = source.frames(Selection(1, 2), lambda name: True)
-    assert frame.images is not None
-    np.testing.assert_array_equal(frame.images["cam2"], PICTURES["cam2"][1])
+def compressed(format: str, picture: np.ndarray, suffix: str = ".png") -> dict[str, Any]:
+    """A compressed message of a picture in OpenCV's order of channels."""
+    return {"format": format, "data": cv2.imencode(suffix, picture)[1].ravel()}
 
 
-def test_pictures_of_another_size_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(PICTURES, "cam2", [PICTURES["cam2"][0], PICTURES["cam2"][1, :6, :8]])
-    source = open_source(str(write(tmp_path / "run", encoding="png")), RIG)
-    first, second = source.frames(Selection(), lambda name: True)
-    assert first.images is not None
-    assert "/cam2/image_raw: expected pictures of 16 x 12 pixels (width" in str(second.error)
-    assert str(second.error).endswith("got one of 8 x 6")
+BGR = PICTURE[..., ::-1]
+MESSAGES: dict[str, tuple[dict[str, Any], np.ndarray]] = {
+    "rgb8": (raw_fields(PICTURE, "rgb8"), PICTURE),
+    "bgr8": (raw_fields(BGR, "bgr8"), PICTURE),
+    "8UC3": (raw_fields(BGR, "8UC3"), PICTURE),
+    "rgba8": (raw_fields(np.dstack((PICTURE, GREY)), "rgba8"), PICTURE),
+    "bgra8": (raw_fields(np.dstack((BGR, GREY)), "bgra8"), PICTURE),
+    "mono8": (raw_fields(GREY, "mono8"), GREY),
+    "8UC1": (raw_fields(GREY, "8UC1"), GREY),
+    "mono16": (raw_fields(DEEP.astype("<u2"), "mono16"), DEEP),
+    "mono16, big end first": (raw_fields(DEEP.astype(">u2"), "mono16") | {"is_bigendian": 1}, DEEP),
+    "png": (compressed("png", BGR), PICTURE),
+    "rgb8; png compressed bgr8": (compressed("rgb8; png compressed bgr8", BGR), PICTURE),
+    "bgr8; png compressed bgr8": (compressed("bgr8; png compressed bgr8", BGR), PICTURE),
+    "rgb8; png compressed rgb8": (compressed("rgb8; png compressed rgb8", PICTURE), PICTURE),
+    "mono8; png compressed": (compressed("mono8; png compressed ", GREY), GREY),
+    "mono16; png compressed": (compressed("mono16; png compressed ", DEEP), DEEP),
+}
+"""What a message holds, and what was seen."""
 
 
-def test_a_mosaic_of_colours_becomes_a_picture(tmp_path: Path) -> None:
-    source = open_source(str(write(tmp_path / "run", encoding="bayer_rggb8")), RIG)
-    image = next(iter(source.samples())).images["cam1"]  # type: ignore[index]
-    assert image.shape == (12, 16, 3)
-    mosaic = np.ascontiguousarray(PICTURES["cam1"][0].reshape(12, 48)[:, :16])
-    assert image[2, 2, 0] == mosaic[2, 2]  # red is where the sensor saw it
-    assert image[3, 3, 2] == mosaic[3, 3]
+@pytest.mark.parametrize(("message", "expected"), MESSAGES.values(), ids=MESSAGES)
+def test_a_picture_is_what_was_seen_in_every_encoding(
+    tmp_path: Path, message: dict[str, Any], expected: np.ndarray
+) -> None:
+    image = first_image(of_topics(tmp_path / "run", {f"/{name}/image": message for name in RIG.names}))
+    assert image.dtype == expected.dtype
+    np.testing.assert_array_equal(image, expected)
 
 
-def test_what_is_no_bag_of_these_cameras_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = write(tmp_path / "run")
-    with pytest.raises(
-        ArgumentError, match=r"topic of images for each of left, .* got /cam1/image_raw \(Image\)"
-    ):
-        open_source(
-            str(path),
-            CameraRig(dict.fromkeys(("left", "right"), RIG.cameras["cam1"]), RIG.world_from_camera[:2]),
-        )
-    with pytest.raises(ArgumentError, match="of videos, bags and live"):
+@pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
+@pytest.mark.parametrize("is_compressed", [False, True])
+def test_a_mosaic_of_colours_becomes_a_picture(tmp_path: Path, pattern: str, is_compressed: bool) -> None:
+    colors = {"r": 200, "g": 100, "b": 20}
+    mosaic = np.zeros((12, 16), np.uint8)
+    for position, letter in enumerate(pattern):
+        mosaic[position // 2 :: 2, position % 2 :: 2] = colors[letter]
+    encoding = f"bayer_{pattern}8"
+    message = (
+        compressed(f"{encoding}; png compressed ", mosaic) if is_compressed else raw_fields(mosaic, encoding)
+    )
+    image = first_image(of_topics(tmp_path / "run", {f"/{name}/image": message for name in RIG.names}))
+    np.testing.assert_array_equal(image[5, 7], list(colors.values()))
+
+
+@pytest.mark.parametrize("orientation", [1, 3, 6])
+def test_a_jpeg_is_as_it_is_stored(tmp_path: Path, orientation: int) -> None:
+    exif, buffer = Image.Exif(), io.BytesIO()
+    exif[0x0112] = orientation
+    stored = np.where(np.arange(12)[:, None, None] < 6, 220, np.zeros((12, 16, 3))).astype(np.uint8)
+    Image.fromarray(stored).save(buffer, "JPEG", exif=exif, quality=95)
+    message = {"format": "jpeg", "data": np.frombuffer(buffer.getvalue(), np.uint8)}
+    image = first_image(of_topics(tmp_path / "run", {f"/{name}/image": message for name in RIG.names}))
+    np.testing.assert_allclose(image, stored, atol=8)
+
+
+DAMAGES: dict[str, dict[str, Any]] = {
+    "no data": raw_fields(PICTURE) | {"data": np.zeros(0, np.uint8)},
+    "short data": raw_fields(PICTURE) | {"data": raw_fields(PICTURE)["data"][:300]},
+    "rows shorter than pixels": raw_fields(PICTURE) | {"step": 20},
+    "no rows": raw_fields(PICTURE) | {"step": 0},
+    "billions of rows": raw_fields(PICTURE) | {"height": 2**32 - 1},
+    "no height": raw_fields(PICTURE) | {"height": 0},
+    "an unknown encoding": raw_fields(PICTURE, "yuv422"),
+    "no picture": {"format": "jpeg", "data": np.arange(99, dtype=np.uint8)},
+    "another size": raw_fields(PICTURE[:6]),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_one_damaged_message_is_one_frame(tmp_path: Path, damage: dict[str, Any]) -> None:
+    kind = "compressed" if "format" in damage else "raw"
+    topics = {name: f"/{name}/{kind}" for name in RIG.names}
+    whole = compressed("png", BGR) if kind == "compressed" else PICTURE
+    contents = [(topics["cam1"], whole), (topics["cam2"], whole)] * 2
+    contents[3:] = [(topics["cam2"], damage)]
+    messages = [
+        (topic, TIME + step // 2 * 10**8, TIME, content) for step, (topic, content) in enumerate(contents)
+    ]
+    frames = list(
+        open_source(str(write_bag(tmp_path / "run", messages)), RIG).frames(Selection(), lambda _: True)
+    )
+    assert [frame.images is None for frame in frames] == [False, True]
+    assert isinstance(frames[1].error, FileFormatError)
+    assert f"run: {topics['cam2']}" in str(frames[1].error)
+
+
+TOPICS: dict[str, tuple[list[str], tuple[str, str], dict[str, str] | None]] = {
+    "names between slashes": (["/b/image", "/a/image"], ("a", "b"), {"a": "/a/image", "b": "/b/image"}),
+    "names as words": (
+        ["/cam_back/image_raw", "/cam_front/image_raw"],
+        ("front", "back"),
+        {"front": "/cam_front/image_raw", "back": "/cam_back/image_raw"},
+    ),
+    "a name within another": (
+        ["/front/image", "/front_wide/image"],
+        ("front", "front_wide"),
+        {"front": "/front/image", "front_wide": "/front_wide/image"},
+    ),
+    "pictures for debugging are raw": (
+        ["/view_1", "/view_2", "/a/image/compressed", "/b/image/compressed"],
+        ("a", "b"),
+        {"a": "/a/image/compressed", "b": "/b/image/compressed"},
+    ),
+    "raw and compressed": (
+        ["/a/image", "/b/image", "/a/image/compressed", "/b/image/compressed"],
+        ("a", "b"),
+        {"a": "/a/image", "b": "/b/image"},
+    ),
+    "depth of each camera": (
+        ["/a/image", "/b/image", "/a/depth", "/b/depth"],
+        ("a", "b"),
+        {"a": "/a/image", "b": "/b/image"},
+    ),
+    "numbers": (
+        ["/camera_0/image", "/camera_1/image"],
+        ("a", "b"),
+        {"a": "/camera_0/image", "b": "/camera_1/image"},
+    ),
+    "other names": (["/left/image", "/right/image"], ("front", "back"), None),
+    "two of a name": (["/a/image", "/a/picture", "/b/image"], ("a", "b"), None),
+    "one of them": (["/a/image", "/c/image"], ("a", "b"), None),
+}
+"""Topics of a bag, names of cameras, and which is whose; None where it cannot be told."""
+
+
+@pytest.mark.parametrize(("topics", "names", "expected"), TOPICS.values(), ids=TOPICS)
+def test_topics_are_the_cameras_by_name_or_number_or_are_asked_for(
+    tmp_path: Path, topics: list[str], names: tuple[str, str], expected: dict[str, str] | None
+) -> None:
+    contents = {
+        topic: compressed("png", BGR)
+        if topic.endswith("compressed")
+        else raw_fields(DEEP, "16UC1")
+        if topic.endswith("depth")
+        else PICTURE
+        for topic in topics
+    }
+    path, rig = of_topics(tmp_path / "run", contents), named(*names)
+    if expected is not None:
+        source = open_source(str(path), rig)
+        assert isinstance(source, Bag)
+        assert source.topics == expected
+        assert source.labels == ({} if all(n in t.split("/") for n, t in expected.items()) else expected)
+        return
+    with pytest.raises(ArgumentError, match=r"cameras=\[.*:/topic") as refused:
+        open_source(str(path), rig)
+    assert all(topic in str(refused.value) for topic in topics)
+    labels = dict(zip(names, topics[::-1], strict=False))
+    source = open_source(str(path), rig, labels=labels)
+    assert isinstance(source, Bag)
+    assert source.topics == labels
+
+
+def test_what_is_no_bag_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = of_topics(tmp_path / "run", {f"/{name}/image": PICTURE for name in RIG.names})
+    with pytest.raises(ArgumentError, match="frames"):
         open_source(str(path), RIG, frames=[1])
-    with pytest.raises(MissingFileError, match=r"no moment .* tolerance=0.0001 .*cam1: 3, .* cam4: 2"):
-        open_source(str(path), RIG, tolerance=0.0001)
-    with pytest.raises(MissingFileError, match=r"folder with metadata.yaml"):
+    with pytest.raises(MissingFileError, match=r"missing\.mcap"):
         open_source(str(tmp_path / "missing.mcap"), RIG)
-    cut = next(path.glob("*.mcap")).read_bytes()[:-50]  # the recording was killed
-    for name, content in {"empty.bag": b"", "empty.mcap": b"", "empty.db3": b"", "cut.mcap": cut}.items():
+    whole = next(path.glob("*.mcap")).read_bytes()
+    contents = {
+        "empty.bag": b"",
+        "empty.mcap": b"",
+        "empty.db3": b"",
+        "cut.mcap": whole[:-50],
+        "no.db3": b"SQLite" * 99,
+    }
+    for seed in range(12):
+        flipped = bytearray(whole)
+        for position in np.random.default_rng(seed).integers(100, len(whole) - 1, 30):
+            flipped[position] ^= 255
+        contents[f"flipped{seed}.mcap"] = bytes(flipped)
+    for name, content in contents.items():
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(FileFormatError, match=f"{name}: rosbags cannot read it"):
-            open_source(str(tmp_path / name), RIG)
-    for encoding, words in {
-        "yuv422": "encoding mono8, .* got 'yuv422'",
-        "nonsense": "format 'nonsense'",
-    }.items():
-        source = open_source(str(write(tmp_path / encoding, encoding=encoding)), RIG)
-        frame = next(iter(source.frames(Selection(), lambda name: True)))
-        with pytest.raises(FileFormatError, match=words):
-            raise frame.error or AssertionError("it was read")
+        try:  # what is not noticed when the bag is opened is frames that say what is wrong
+            frames = list(open_source(str(tmp_path / name), RIG).frames(Selection(), lambda _: True))
+        except (FileFormatError, ArgumentError, MissingFileError) as error:
+            if name in str(error):
+                continue
+            raise
+        assert name.startswith("flipped")
+        assert all(frame.images is not None or isinstance(frame.error, FileFormatError) for frame in frames)
     monkeypatch.setattr("sphericalvision.capture.sources.bags.find_spec", lambda name: None)
     with pytest.raises(ArgumentError, match=r"sphericalvision\[bags\]"):
         open_source(str(path), RIG)

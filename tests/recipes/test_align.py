@@ -12,7 +12,7 @@ import torch
 from sphericalvision.cameras import CameraRig, read_rig
 from sphericalvision.capture import Predictor
 from sphericalvision.capture.alignment import RigTurns
-from sphericalvision.capture.sources.opening import spread_evenly
+from sphericalvision.capture.sources.frames import spread_evenly
 from sphericalvision.recipes.commands import align as commands
 from tests.recipes.knocked_capture import KNOCKED, true_rig, write_knocked_capture
 from tests.recipes.tiny import Run, write_plated_capture

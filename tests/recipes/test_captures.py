@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Callable
 from itertools import permutations
 from pathlib import Path
@@ -14,8 +15,9 @@ import pytest
 import torch
 
 from sphericalvision.cameras import CameraRig, ring_rig, save_rig
-from sphericalvision.capture.sources.frames import Selection, find_capture, find_labels, find_masks
-from sphericalvision.capture.sources.opening import open_source
+from sphericalvision.capture.sources.frames import Selection
+from sphericalvision.capture.sources.opening import open_source, rig_with_masks
+from sphericalvision.capture.sources.patterns import find_files, find_labels
 from sphericalvision.core import ArgumentError, MissingFileError
 from sphericalvision.io.images import write_image
 from sphericalvision.recipes.app.captures import Capture
@@ -23,6 +25,10 @@ from sphericalvision.recipes.app.rigs import make_ring
 from tests.recipes.tiny import Run
 
 NAMES = ["cam1", "cam2", "cam3"]
+
+
+def find_capture(*arguments: Any, **keys: Any) -> dict[str, dict[str, Path]]:
+    return find_files(*arguments, **keys).frames
 
 
 def touch(root: Path, *names: str) -> str:
@@ -71,8 +77,8 @@ def test_a_camera_has_the_same_files_whether_all_are_used_or_some(
     images = str(tmp_path if source == "folder" else tmp_path / source)
 
     def files(cameras: list[str] | None) -> dict[str, Path]:
-        (found,) = open_source(images, rig, cameras=cameras).files.values()
-        return found
+        (files,) = open_source(images, rig, cameras=cameras).moments.values()
+        return files
 
     whole = files(None)
     assert list(whole) == names
@@ -105,22 +111,37 @@ def test_what_is_wrong_with_the_layout_of_a_folder_is_told(tmp_path: Path) -> No
     for name, time in {"cam1": "1700000000.00", "cam2": "1700000000.05"}.items():
         write_image(tmp_path / f"times/{name}/{time}.png", torch.zeros(3, 16, 16))
         write_image(tmp_path / f"numbers/{name}/1.png", torch.zeros(3, 16, 16))
-    with pytest.raises(MissingFileError, match=r"those of cam1 and cam2 are 50 ms apart or more; tolerance="):
+    with pytest.raises(MissingFileError, match="tolerance"):
         open_source(str(tmp_path / "times"), rig)
-    with pytest.raises(
-        MissingFileError, match=r"no such file, frame 9 of camera cam1; its first frames are 1\."
-    ):
+    with pytest.raises(MissingFileError, match="frames="):
         open_source(str(tmp_path / "numbers"), rig, [9])
 
 
-def test_files_of_some_cameras_alone_have_to_be_whose_they_are(tmp_path: Path) -> None:
-    root = touch(tmp_path, "1/1.png", "2/1.png")
-    labels = find_labels(root + "/{camera}/{frame}.png", ["front", "left", "rear"], ["front", "left"])
-    assert labels == {"front": "1", "left": "2"}  # counted from 0 there would be a folder 0
-    with pytest.raises(ArgumentError, match="cam2 is 2; or cam2 is 1"):
-        find_labels(root + "/{camera}/{frame}.png", NAMES, ["cam2"])
-    touch(tmp_path, "cam1/1.png")
-    assert find_labels(root + "/{camera}/{frame}.png", NAMES, ["cam1"])["cam1"] == "cam1"
+LABELS: dict[str, tuple[list[str], list[str], list[str], list[str] | None]] = {
+    "names": (["front", "back", "0", "1"], ["front", "back"], ["front", "back"], ["front", "back"]),
+    "numbers in names": (["1", "2", "3"], NAMES, NAMES, ["1", "2", "3"]),
+    "padded numbers": (["00", "01"], ["cam0", "cam1"], ["cam0", "cam1"], ["00", "01"]),
+    "numbers of some": (["1", "2"], NAMES, ["cam2"], ["2"]),
+    "the order, from 0": (["0", "1", "2"], NAMES, ["cam2"], ["1"]),
+    "the order, from 7": (["7", "8"], ["front", "back"], ["back"], ["8"]),
+    "which of three": (["0", "1", "2"], ["front", "back"], ["front", "back"], None),
+    "from 0, of some": (["0", "1"], NAMES, ["cam1"], None),
+    "a number twice": (["1", "01", "2"], ["cam1", "cam2"], ["cam1", "cam2"], None),
+    "other names": (["left", "right"], ["front", "back"], ["front", "back"], None),
+}
+"""Folders, cameras of the rig, those in use, and their folders; None where these cannot be told."""
+
+
+@pytest.mark.parametrize(("folders", "names", "used", "expected"), LABELS.values(), ids=LABELS)
+def test_labels_are_names_or_numbers_or_refused(
+    tmp_path: Path, folders: list[str], names: list[str], used: list[str], expected: list[str] | None
+) -> None:
+    pattern = touch(tmp_path, *(f"{folder}/1.png" for folder in folders)) + "/{camera}/{frame}.png"
+    if expected is not None:
+        assert find_labels(pattern, names, used) == dict(zip(used, expected, strict=True))
+        return
+    with pytest.raises(MissingFileError, match=r"\{camera\} stands for"):
+        find_labels(pattern, names, used)
 
 
 def test_hidden_files_are_no_frames(tmp_path: Path) -> None:
@@ -153,46 +174,37 @@ def test_stills_of_all_views_are_cut_as_videos_are(tmp_path: Path, cameras: list
         assert f"R{number}.png: expected 48 x 16 pixels (width x height), as the first" in str(frame.error)
 
 
-def test_frames_are_in_the_order_of_their_numbers_and_complete(tmp_path: Path) -> None:
-    root = touch(tmp_path, *(f"{c}/{f}.jpg" for c in "123" for f in ("9", "10", "100")), "1/11.jpg")
-    with pytest.warns(UserWarning, match=r"1 frame.* left out, 11 first \(cam1: 4, cam2: 3"):
-        assert list(find_capture(root + "/{camera}/{frame}.jpg", NAMES)) == ["9", "10", "100"]
-    root = touch(tmp_path / "times", *(f"{c}/{f}.jpg" for c in "123" for f in ("0.8", "0.76")))
-    assert list(find_capture(root + "/{camera}/{frame}.jpg", NAMES)) == ["0.76", "0.8"]
+@pytest.mark.parametrize("names", [["9", "10", "100"], ["0.76", "0.8"]])
+def test_frames_are_in_the_order_of_numbers_and_times(tmp_path: Path, names: list[str]) -> None:
+    root = touch(tmp_path, *(f"{camera}/{name}.jpg" for camera in "123" for name in names))
+    assert list(find_capture(root + "/{camera}/{frame}.jpg", NAMES)) == names
 
 
-def test_pictures_named_by_time_belong_together_within_a_tolerance(tmp_path: Path) -> None:
-    start = 1_700_000_000_000_000_000  # nanoseconds, 30 frames a second
-    times = [start + number * 33_333_333 for number in range(4)]
-    names = {
-        "cam1": times,
-        "cam2": [time + 2_000_000 for time in times],
-        "cam3": [t - 1_000_000 for t in times[1:]],
-    }
-    root = touch(tmp_path, *(f"{name}/{time}.png" for name, mine in names.items() for time in mine))
-    with pytest.warns(UserWarning, match="images: ") as told:
-        capture = find_capture(root + "/{camera}/{frame}.png", NAMES)
-    assert "differ, by 2 ms at most" in str(told[0].message)
-    assert "1 frame(s) that not every camera has" in str(told[1].message)
-    assert list(capture) == [str(time) for time in times[1:]]
-    assert [int(path.stem) - times[2] for path in capture[str(times[2])].values()] == [
-        0,
-        2_000_000,
-        -1_000_000,
-    ]
-    with pytest.raises(MissingFileError, match=r"cam1 and cam2 are 2 ms apart or more; tolerance=0\.0022 "):
-        find_capture(root + "/{camera}/{frame}.png", NAMES, tolerance=0.001)
-    with pytest.warns(UserWarning, match="differ, by 2 ms"):
-        (frame,) = find_capture(root + "/{camera}/{frame}.png", NAMES, [str(times[3])])
-    assert frame == str(times[3])
+def test_requested_frames_are_given_in_their_order_or_what_is_missing_is_named(tmp_path: Path) -> None:
+    root = touch(tmp_path, *(f"cam{c}/{f:03d}.png" for c in "123" for f in (1, 2)), "cam1/003.png")
+    pattern = root + "/cam{camera}/{frame:03d}.png"
+    assert list(find_capture(pattern, NAMES, [2, 1])) == ["002", "001"]
+    assert list(find_capture(pattern.replace(":03d", ""), NAMES, ["002"])) == ["002"]
+    for frame, missing in {3: "cam2/003.png", 7: "cam1/007.png"}.items():
+        with pytest.raises(MissingFileError, match=re.escape(missing)):
+            find_capture(pattern, NAMES, [frame])
+    with pytest.raises(MissingFileError, match=r"\{frame:03d\} in the pattern stands for 002") as error:
+        find_capture(root + "/cam1/{frame}.png", [""], [2])
+    assert "camera" not in str(error.value)
+    with pytest.raises(ArgumentError, match=r"pattern with \{camera\}"):
+        find_capture(root + "/cam1/{frame}.png", NAMES)
+    with pytest.raises(ArgumentError, match="frames"):
+        find_capture(pattern, NAMES, ["first"])
 
 
-def test_no_image_is_in_two_frames_however_wide_the_tolerance(tmp_path: Path) -> None:
-    first, second = ("1700000000.00", "1700000000.10"), ("1700000000.09",)
-    root = touch(tmp_path, *(f"1/{f}.png" for f in first), *(f"2/{f}.png" for f in second))
-    with pytest.warns(UserWarning, match="1 frame|differ, by 10 ms"):
-        capture = find_capture(root + "/{camera}/{frame}.png", NAMES[:2], tolerance=1.0)
-    assert list(capture) == [first[1]]
+def test_masks_are_one_for_each_camera(tmp_path: Path) -> None:
+    rig = ring_rig(3, image_size=(8, 8))
+    for number in range(3):
+        write_image(tmp_path / f"cam{number}/mask.png", torch.ones(1, 8, 8))
+    masked, files = rig_with_masks(rig, f"{tmp_path}/cam{{camera}}/mask.png")
+    assert (list(masked.masks), len(files)) == (NAMES, 3)
+    with pytest.raises(ArgumentError, match="masks"):
+        rig_with_masks(rig, f"{tmp_path}/mask.png")
 
 
 def test_digits_only_where_the_pattern_says_so(tmp_path: Path) -> None:
@@ -248,13 +260,6 @@ def test_relative_patterns_start_in_the_working_folder(
     assert list(find_capture("./cam{camera}/{frame}.png", NAMES)) == ["1"]
 
 
-def test_masks_are_one_for_each_camera(tmp_path: Path) -> None:
-    root = touch(tmp_path, *(f"cam{c}/mask.png" for c in "012"))
-    assert list(find_masks(root + "/cam{camera}/mask.png", NAMES)) == NAMES
-    with pytest.raises(ArgumentError, match="masks"):
-        find_masks(root + "/mask.png", NAMES)
-
-
 def test_braces_in_the_name_of_a_calibration_are_literal(tmp_path: Path) -> None:
     """Fields alone make a pattern, whose folder is the calibration; a folder may be called like one."""
     rigs = {
@@ -268,18 +273,6 @@ def test_braces_in_the_name_of_a_calibration_are_literal(tmp_path: Path) -> None
         assert Capture(calibration=str(tmp_path / folder / "rig.yaml"), images="x").rig().radius == rig.radius
     with pytest.raises(MissingFileError, match=r"\{v3\}/rig.yaml"):
         Capture(calibration=f"{tmp_path}/{{v3}}/rig.yaml", images="x").rig()
-
-
-def test_what_is_missing_is_named(tmp_path: Path) -> None:
-    root = touch(tmp_path, "cam1/1.png", "cam2/1.png", "cam3/1.png", "cam1/2.png")
-    with pytest.raises(MissingFileError, match=r"cam2/2\.png"):
-        find_capture(root + "/cam{camera}/{frame}.png", NAMES, [2])
-    with pytest.raises(MissingFileError, match=r"tried as cam1\.\.cam3, 1\.\.3, 0\.\.2"):
-        find_capture(root + "/view{camera}/{frame}.png", NAMES)
-    with pytest.raises(ArgumentError, match=r"pattern with \{camera\}"):
-        find_capture(root + "/cam1/{frame}.png", NAMES)
-    with pytest.raises(ArgumentError, match="frames"):
-        find_capture(root + "/cam{camera}/{frame:05d}.png", NAMES, ["first"])
 
 
 def test_sizes_that_a_calibration_lacks_are_the_images_or_given(

@@ -4,28 +4,58 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.capture.sources.frames import Files, called_as_first
-from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
-from sphericalvision.io.files import by_numbers
+from sphericalvision.capture.sources.frames import Recording
+from sphericalvision.capture.sources.moments import Clock, Moments, pair_moments
+from sphericalvision.capture.sources.patterns import labels_by_number
+from sphericalvision.core import (
+    ArgumentError,
+    FileFormatError,
+    MissingFileError,
+    SphericalVisionError,
+    first_line,
+)
+from sphericalvision.io.images import decode_image
 from sphericalvision.io.times import SAME_TIME
 
 __all__ = ["Bag", "bag_of"]
 
 SUFFIXES = (".bag", ".mcap", ".db3")
-KINDS = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
-CHANNELS = {"mono8": 1, "rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4}
-"""Of pictures of bytes; what a sensor with a mosaic of colours saw is made a picture, too."""
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+CHANNELS = {
+    "mono8": 1,
+    "8UC1": 1,
+    "mono16": 1,
+    "rgb8": 3,
+    "bgr8": 3,
+    "8UC3": 3,
+    "rgba8": 4,
+    "bgra8": 4,
+    "8UC4": 4,
+}
+"""Of raw pictures, by encoding; 8UC3 and 8UC4 are OpenCV's, whose first channel is blue."""
+MOSAIC = re.compile(r"bayer_([rgb]{4})8")
+"""Encoding of what a sensor with a mosaic of colours saw."""
+Picture = npt.NDArray[Any]
+
+
+class Message(NamedTuple):
+    """Where a bag has a message: when it received it, and how many of the same topic and time come before."""
+
+    time: int
+    number: int
 
 
 def bag_of(path: Path) -> Path | None:
@@ -50,130 +80,292 @@ def bag_of(path: Path) -> Path | None:
     return path.parent if is_part else path
 
 
-class Bag(Files):
-    """Frames of a bag; they are called by the first camera's time stamps, in nanoseconds.
+class Bag(Recording):
+    """Frames of a bag, called by the first camera's times in nanoseconds; an image is read by its ``Message``.
 
-    A camera's topic is the one with its name between slashes, ``/front/image_raw``; where not every camera has one,
-    and there are as many topics as cameras, they belong together in their order.
+    Times are the stamps in the headers; where these do not tell, those at which the bag received the messages.
 
     Args:
         path: as ``bag_of`` has it.
         rig: of the cameras that are used.
         whole: the rig that decides which topic is whose.
-        tolerance: seconds between images of one frame, at most.
+        tolerance: seconds between images of one moment, at most.
+        topics: camera name -> topic, of cameras whose topic is not to be found by name.
 
     Raises:
-        ArgumentError: topics are not those of the cameras.
+        ArgumentError: which topic is whose cannot be told.
         FileFormatError: the bag cannot be read.
         MissingFileError: no moment has an image of every camera.
     """
 
-    def __init__(self, path: Path, rig: CameraRig, whole: CameraRig, tolerance: float = SAME_TIME) -> None:
-        super().__init__({}, rig, whole)
+    def __init__(
+        self,
+        path: Path,
+        rig: CameraRig,
+        whole: CameraRig,
+        tolerance: float = SAME_TIME,
+        topics: Mapping[str, str] | None = None,
+    ) -> None:
         self.path = path
+        damaged: Counter[str] = Counter()
         with self._reader() as reader:
-            topics = _topics(reader.connections, whole.names, path)
-            self.topics = {name: topics[name] for name in rig.names}
-            if any(name not in topic.split("/") for name, topic in topics.items()):
-                self.labels = dict(self.topics)
-            by_topic = {topic: name for name, topic in self.topics.items()}
-            used = [connection for connection in reader.connections if connection.topic in by_topic]
-            stamps: dict[str, dict[str, Any]] = {name: {} for name in rig.names}
-            for connection, time, data in reader.messages(connections=used):
-                stamp = reader.deserialize(data, connection.msgtype).header.stamp
-                nanoseconds = 10**9 * stamp.sec + stamp.nanosec
-                stamps[by_topic[connection.topic]][str(nanoseconds)] = time
-        times = {stamp: int(stamp) / 1e9 for mine in stamps.values() for stamp in mine}
-        matched, _ = called_as_first(stamps, times, tolerance)
-        common = set.intersection(*map(set, matched.values()))
-        if not common:
-            counts = ", ".join(f"{name}: {len(mine)}" for name, mine in stamps.items())
-            raise MissingFileError(
-                f"images: {path}: no moment has an image of every camera within tolerance={tolerance:g} seconds "
-                f"({counts} images)"
-            )
-        self.files = {
-            frame: {name: matched[name][frame] for name in rig.names} for frame in sorted(common, key=int)
+            self.topics = _topics(self._pictured(reader), whole.names, rig.names, topics or {}, path)
+            stamps, messages = self._index(reader, rig.names, damaged)
+        received = {
+            name: {key: message.time for key, message in own.items()} for name, own in messages.items()
         }
+        clocks = [
+            ("the stamps in their headers", stamps),
+            ("the times at which the bag received them", received),
+        ]
+        moments = pair_moments(
+            messages,
+            [Clock(source, {c: _seconds(own) for c, own in times.items()}) for source, times in clocks],
+            tolerance,
+            names="their numbers",
+        )
+        for name, count in damaged.items():
+            moments.warnings.append(
+                f"images: {path}: {count} damaged message(s) of {self.topics[name]} are left out"
+            )
+        super().__init__(_called_by_times(moments, [times[rig.names[0]] for _, times in clocks]), rig, whole)
+        if any(name not in topic.split("/") for name, topic in self.topics.items()):
+            self.labels = dict(self.topics)
 
     @contextmanager
     def _reader(self) -> Iterator[Any]:
-        from rosbags.highlevel import AnyReader, AnyReaderError
+        from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
 
+        reader = AnyReader([self.path], default_typestore=get_typestore(Stores.LATEST))
+        with self._own_words():
+            reader.open()
         try:
-            with AnyReader([self.path], default_typestore=get_typestore(Stores.LATEST)) as reader:
-                yield reader
-        except AnyReaderError as error:
-            raise FileFormatError(f"{self.path}: rosbags cannot read it ({error})") from None
+            yield reader
+        finally:
+            reader.close()
+
+    @contextmanager
+    def _own_words(self) -> Iterator[None]:
+        """Say in one sentence what rosbags raises of a damaged bag: errors of any type, of the libraries below it."""
+        try:
+            yield
+        except SphericalVisionError:
+            raise
+        except Exception as error:
+            raise FileFormatError(
+                f"{self.path}: rosbags cannot read this bag ({first_line(error)}); it is damaged or was cut, copy it "
+                "again, or repair it with 'rosbag reindex', 'ros2 bag reindex' or 'mcap recover'"
+            ) from None
+
+    def _pictured(self, reader: Any) -> list[str]:
+        """Topics whose first message is a picture: no depth, which is an image message, too."""
+        topics: dict[str, list[Any]] = {}
+        for connection in reader.connections:
+            if connection.msgtype in (IMAGE, COMPRESSED):
+                topics.setdefault(connection.topic, []).append(connection)
+        return [topic for topic, own in topics.items() if self._is_pictured(reader, own)]
+
+    def _is_pictured(self, reader: Any, connections: Sequence[Any]) -> bool:
+        with self._own_words():
+            for connection, _, data in reader.messages(connections=connections):
+                try:
+                    message = reader.deserialize(data, connection.msgtype)
+                except Exception:  # whatever a damaged message makes rosbags raise; the next one may be whole
+                    continue
+                return "compressedDepth" not in getattr(message, "format", "") and not re.match(
+                    "(16|32|64)", getattr(message, "encoding", "")
+                )
+        return False
+
+    def _index(
+        self, reader: Any, names: Sequence[str], damaged: Counter[str]
+    ) -> tuple[dict[str, dict[str, int]], dict[str, dict[str, Message]]]:
+        """Stamp and message of every image: camera -> its number in its topic -> nanoseconds, and where it is."""
+        cameras = {self.topics[name]: name for name in names}
+        stamps: dict[str, dict[str, int]] = {name: {} for name in names}
+        messages: dict[str, dict[str, Message]] = {name: {} for name in names}
+        before: Counter[tuple[str, int]] = Counter()
+        with self._own_words():
+            used = [connection for connection in reader.connections if connection.topic in cameras]
+            for connection, time, data in reader.messages(connections=used):
+                name = cameras[connection.topic]
+                message = Message(time, before[name, time])
+                before[name, time] += 1
+                try:
+                    stamp = reader.deserialize(data, connection.msgtype).header.stamp
+                except Exception:  # as above
+                    damaged[name] += 1
+                    continue
+                number = f"{len(messages[name]):06d}"
+                messages[name][number] = message
+                stamps[name][number] = 10**9 * stamp.sec + stamp.nanosec
+        return stamps, messages
 
     def sizes(self) -> dict[str, tuple[int, int]]:
-        """Camera name -> (height, width) of its images, of the first frame."""
-        images = self._pictures(next(iter(self.files.values())))
-        return {name: (image.shape[0], image.shape[1]) for name, image in images.items()}
-
-    def _images(self, files: Mapping[str, Any]) -> dict[str, npt.NDArray[np.uint8]]:
-        """The images of a frame, of the calibration's sizes."""
-        images = self._pictures(files)
-        for name, image in images.items():
-            height, width = self.rig.cameras[name].image_size
-            if image.shape[:2] != (height, width):
-                raise FileFormatError(
-                    f"{self.path}: {self.topics[name]}: expected pictures of {width} x {height} pixels (width x "
-                    f"height, from the calibration), got one of {image.shape[1]} x {image.shape[0]}"
-                )
-        return images
-
-    def _pictures(self, files: Mapping[str, Any]) -> dict[str, npt.NDArray[np.uint8]]:
-        """The images of a frame, by the times at which the bag has their messages."""
-        images = {}
+        """Camera name -> (height, width) of its images, of the first frame that can be read."""
         with self._reader() as reader:
-            for name, time in files.items():
-                own = [each for each in reader.connections if each.topic == self.topics[name]]
-                connection, _, data = next(reader.messages(connections=own, start=time, stop=time + 1))
-                message = reader.deserialize(data, connection.msgtype)
-                images[name] = _picture(message, f"{self.path}: {connection.topic}")
-        return images
+            for frame in list(self.moments.values())[:3]:
+                with suppress(FileFormatError):
+                    pictures = {name: self._picture(reader, name, message) for name, message in frame.items()}
+                    return {name: (picture.shape[0], picture.shape[1]) for name, picture in pictures.items()}
+        return {}
+
+    @contextmanager
+    def opened(self) -> Iterator[Callable[[str, Any], Any]]:
+        """A function that reads pictures by their messages, of the calibration's sizes."""
+        with self._reader() as reader:
+
+            def read(camera: str, message: Message) -> Picture:
+                picture = self._picture(reader, camera, message)
+                height, width = self.rig.cameras[camera].image_size
+                if picture.shape[:2] != (height, width):
+                    raise FileFormatError(
+                        f"{self.path}: {self.topics[camera]}: expected pictures of {width} x {height} pixels (width x "
+                        f"height, from the calibration), got one of {picture.shape[1]} x {picture.shape[0]}"
+                    )
+                return picture
+
+            yield read
+
+    def _picture(self, reader: Any, camera: str, message: Message) -> Picture:
+        topic = self.topics[camera]
+        with self._own_words():
+            connections = [connection for connection in reader.connections if connection.topic == topic]
+            found = reader.messages(connections=connections, start=message.time, stop=message.time + 1)
+            connection, _, data = next(islice(found, message.number, None))
+            content = reader.deserialize(data, connection.msgtype)
+        return _picture_of(content, f"{self.path}: {topic}")
 
 
-def _topics(connections: Sequence[Any], names: Sequence[str], path: Path) -> dict[str, str]:
-    """Camera name -> topic."""
-    for kind in KINDS:  # compressed where there is nothing else
-        topics = sorted({c.topic for c in connections if c.msgtype == kind}, key=by_numbers)
-        own = {name: [topic for topic in topics if name in topic.split("/")] for name in names}
-        if all(len(matches) == 1 for matches in own.values()):
+def _seconds(nanoseconds: Mapping[str, int]) -> dict[str, float | None]:
+    return {name: time / 1e9 for name, time in nanoseconds.items()}
+
+
+def _called_by_times(moments: Moments, times: Sequence[Mapping[str, int]]) -> Moments:
+    """Moments by number, called by the first camera's nanoseconds where a clock counts."""
+    if moments.clock is None:
+        return moments
+    own = times[moments.clock]
+    return moments._replace(frames={str(own[number]): frame for number, frame in moments.frames.items()})
+
+
+def _topics(
+    topics: Sequence[str], names: Sequence[str], used: Sequence[str], chosen: Mapping[str, str], path: Path
+) -> dict[str, str]:
+    """Camera name -> topic: the one chosen for it, of its name, or of its number.
+
+    Args:
+        topics: of pictures, raw and compressed.
+        names: cameras of the whole rig.
+        used: cameras in use.
+        chosen: camera name -> topic.
+        path: of the bag, for messages.
+
+    Raises:
+        ArgumentError: it cannot be told which topic is whose.
+    """
+    # What image_transport publishes raw and compressed is one picture, of which the raw one is as it was taken.
+    single = [topic for topic in topics if topic.removesuffix("/compressed") not in set(topics) - {topic}]
+    own = {name: [chosen[name]] if name in chosen else _topics_named(single, name) for name in used}
+    if all(len(matches) == 1 for matches in own.values()) and len(
+        {topic for (topic,) in own.values()}
+    ) == len(used):
+        lacking = [topic for (topic,) in own.values() if topic not in topics]
+        if not lacking:
             return {name: topic for name, (topic,) in own.items()}
-        if len(topics) == len(names):
-            return dict(zip(names, topics, strict=True))
-    listed = sorted(f"{c.topic} ({c.msgtype.rpartition('/')[2]})" for c in connections)
+    elif not any(own.values()) and (numbered := _numbered(single)):
+        labels = labels_by_number(list(numbered), names, used)
+        if labels is not None:
+            return {name: numbered[label] for name, label in labels.items()}
+    unclear = next((f", {name} may be {' or '.join(own[name])}" for name in used if len(own[name]) > 1), "")
     raise ArgumentError(
-        f"images: {path}: expected a topic of images for each of {', '.join(names)}, such as /{names[0]}/image_raw, "
-        f"got {', '.join(listed) or 'none'}; rename the cameras of the calibration"
+        f"images: {path}: expected one topic of pictures for each of {', '.join(used)}, such as /{used[0]}/image_raw, "
+        f"got {', '.join(sorted(topics)) or 'none'}{unclear}. Say which is whose: "
+        f"cameras=[{','.join(f'{name}:/topic' for name in used)}]"
     )
 
 
-def _picture(message: Any, where: str) -> npt.NDArray[np.uint8]:
-    """The picture of a message, ``(h, w)`` or ``(h, w, 3)``, RGB.
+def _topics_named(topics: Sequence[str], name: str) -> list[str]:
+    """Topics with a camera's name between slashes; where there are none, those with its words, ``/cam_front/image``."""
+    exact = [topic for topic in topics if name in topic.split("/")]
+    words = _words(name)
+    count = len(words)
+    return exact or [
+        topic
+        for topic in topics
+        if any(words == _words(topic)[at : at + count] for at in range(len(_words(topic)) - count + 1))
+    ]
+
+
+def _words(name: str) -> list[str]:
+    return re.findall(r"[a-z]+|\d+", name.lower())
+
+
+def _numbered(topics: Sequence[str]) -> dict[str, str]:
+    """Number -> topic, of topics that differ in one number alone; none of others."""
+    split = [re.split(r"(\d+)", topic) for topic in topics]
+    if len({len(pieces) for pieces in split}) != 1:
+        return {}
+    differing = [at for at, pieces in enumerate(zip(*split, strict=True)) if len(set(pieces)) > 1]
+    if len(differing) != 1 or differing[0] % 2 == 0:
+        return {}
+    return {pieces[differing[0]]: topic for pieces, topic in zip(split, topics, strict=True)}
+
+
+def _picture_of(message: Any, where: str) -> Picture:
+    """The picture of a message, ``(h, w)`` or ``(h, w, 3)``, RGB, of 8 or 16 bits.
 
     Raises:
         FileFormatError: its encoding is not known, or it is damaged.
     """
     if hasattr(message, "format"):
-        picture = cv2.imdecode(message.data, cv2.IMREAD_COLOR)
-        if picture is None:
-            raise FileFormatError(f"{where}: OpenCV cannot read a picture of the format {message.format!r}")
-        return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)  # type: ignore[return-value]
-    mosaic = re.fullmatch(r"bayer_([rgb]{4})8", message.encoding)
-    channels = 1 if mosaic else CHANNELS.get(message.encoding)
+        return _decompressed(message, where)
+    is_mosaic = MOSAIC.fullmatch(message.encoding) is not None
+    channels = 1 if is_mosaic else CHANNELS.get(message.encoding)
     if channels is None:
         raise FileFormatError(
             f"{where}: expected the encoding {', '.join(CHANNELS)} or a bayer_rggb8, got {message.encoding!r}"
         )
-    rows = message.data.reshape(message.height, message.step)[:, : message.width * channels]
-    image = rows.reshape(message.height, message.width, channels)
-    if mosaic:
+    dtype: np.dtype[Any] = np.dtype(np.uint8)
+    if message.encoding == "mono16":
+        dtype = np.dtype(">u2" if message.is_bigendian else "<u2")
+    height, width, step, size = message.height, message.width, message.step, message.data.size
+    row = width * channels * dtype.itemsize
+    if min(height, width) < 1 or step < row or size < height * step:
+        raise FileFormatError(
+            f"{where}: is damaged: {width} x {height} pixels (width x height) of {message.encoding} in rows of {step} "
+            f"bytes need {row} bytes a row and {height * step} in all, got {size}"
+        )
+    rows = np.ascontiguousarray(message.data[: height * step].reshape(height, step)[:, :row]).view(dtype)
+    image = rows.reshape(height, width, channels).astype(dtype.newbyteorder("="))
+    return _in_colors(image[..., 0] if channels == 1 else image, message.encoding)
+
+
+def _decompressed(message: Any, where: str) -> Picture:
+    """The picture of a compressed message, whose format is ``jpeg``, or ``rgb8; jpeg compressed bgr8``.
+
+    The first word says what the camera gave, the last one the order in which channels were handed to OpenCV, which
+    takes the first for blue: without ``bgr`` there, red and blue are exchanged in the file. A mosaic stays one.
+
+    References:
+        image_transport_plugins, compressed_image_transport/src/compressed_subscriber.cpp.
+    """
+    image = decode_image(message.data, where, f"a picture of the format {message.format!r}")
+    encoding, separator, compression = message.format.partition(";")
+    encoding = encoding.strip()
+    if image.ndim == 2:
+        return _in_colors(image, encoding if MOSAIC.fullmatch(encoding) else "mono8")
+    is_exchanged = bool(separator) and "compressed" in compression and "compressed bgr" not in compression
+    return _in_colors(image, "bgr8" if is_exchanged and CHANNELS.get(encoding, 1) > 1 else "rgb8")
+
+
+def _in_colors(image: Picture, encoding: str) -> Picture:
+    """A picture by its encoding as ``(h, w)`` or RGB ``(h, w, 3)``."""
+    if mosaic := MOSAIC.fullmatch(encoding):
         code = getattr(cv2, f"COLOR_Bayer{mosaic[1].upper()}2RGB")
-        return cv2.cvtColor(np.ascontiguousarray(image[..., 0]), code)  # type: ignore[return-value]
-    if channels == 1:
-        return image[..., 0]
-    return np.ascontiguousarray(image[..., 2::-1] if message.encoding.startswith("bgr") else image[..., :3])
+        return cv2.cvtColor(np.ascontiguousarray(image), code)
+    if image.ndim == 2:
+        return image
+    is_blue_first = encoding.startswith(("bgr", "8UC"))
+    return np.ascontiguousarray(image[..., 2::-1] if is_blue_first else image[..., :3])

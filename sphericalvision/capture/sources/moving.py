@@ -52,7 +52,7 @@ class Moving:
         self.source, self.rate, self.unposed = source, source.rate, len(names) - len(self.poses)
         windows = self.poses.windows(size, spacing)
         self.windows = {self.poses.names[window[size // 2]]: window for window in windows}
-        self.labels = source.labels
+        self.labels, self.pairing, self.notes = source.labels, source.pairing, source.notes
         self._sampled: dict[str, Frame] = {}
 
     @property

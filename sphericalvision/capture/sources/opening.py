@@ -4,21 +4,26 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.sources.bags import Bag, bag_of
-from sphericalvision.capture.sources.frames import Files, Source, find_capture, find_labels, find_masks
+from sphericalvision.capture.sources.frames import Source
+from sphericalvision.capture.sources.image_files import IMAGE_SUFFIXES, ImageFiles
+from sphericalvision.capture.sources.joined_views import split_views
+from sphericalvision.capture.sources.live import LiveCameras
+from sphericalvision.capture.sources.patterns import EXAMPLE, find_files, find_labels
 from sphericalvision.capture.sources.videos import VIDEO_SUFFIXES, Videos
-from sphericalvision.core import ArgumentError, MissingFileError
+from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
 from sphericalvision.io.images import read_mask
 from sphericalvision.io.times import SAME_TIME
 
-__all__ = ["open_source", "rig_for_images", "rig_with_masks", "spread_evenly"]
+__all__ = ["open_source", "rig_for_images", "rig_with_masks"]
 
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
-STEMS = (
+LAYOUTS = (
     "{camera}/{frame}",
     "cam{camera}/{frame}",
     "{camera}_{frame}",
@@ -26,9 +31,80 @@ STEMS = (
     "{camera}",
     "cam{camera}",
 )
-"""How folders of captures are laid out, most explicit first."""
-ALONE = ("{frame}",)
-"""How folders of one camera are laid out first of all."""
+"""How folders of captures name their files, most explicit first."""
+JOINED = "{frame}"
+"""How they name pictures with the views of all cameras, and images of one."""
+
+
+@dataclass(frozen=True)
+class _Opening:
+    """What is the same for everything that ``images`` may be."""
+
+    rig: CameraRig
+    used: CameraRig
+    frames: Iterable[int | str] | None
+    leave_out: Sequence[Path]
+    tolerance: float
+    labels: Mapping[str, str] = field(default_factory=dict)
+
+    def source(self, images: str) -> Source:
+        """The source of what is no folder, by its name."""
+        path = Path(images).expanduser()
+        is_video = path.suffix.lower() in VIDEO_SUFFIXES
+        if images.startswith("live:"):
+            self._refuse_frames()
+            return LiveCameras(_devices(images, self.used), self.used, self.rig)
+        if is_video and "{" not in images:
+            self._refuse_frames()
+            if not path.is_file():
+                raise MissingFileError(
+                    f"images: {path}: no such file (a video with the views of all cameras expected)"
+                )
+            return Videos({"": path}, self.used, self.rig, self.tolerance)
+        if is_video:
+            self._refuse_frames()
+            labels = self.labels_of(images)
+            (files,) = find_files(images, self.used.names, labels=labels).frames.values()
+            return _labelled(Videos(files, self.used, self.rig, self.tolerance), labels)
+        if "{" not in images and (bag := bag_of(path)) is not None:
+            self._refuse_frames()
+            return Bag(bag, self.used, self.rig, self.tolerance, self.labels)
+        if len(self.rig) > 1 and "{camera" not in images:
+            return self._joined(images)
+        labels = self.labels_of(images)
+        moments = find_files(
+            images, self.used.names, self.frames, self.leave_out, labels=labels, tolerance=self.tolerance
+        )
+        return _labelled(ImageFiles(moments, self.used, self.rig), labels)
+
+    def labels_of(self, pattern: str) -> dict[str, str]:
+        """What ``{camera}`` stands for in a pattern, by camera name."""
+        unlabelled = [name for name in self.used.names if name not in self.labels]
+        labels = dict(self.labels)
+        if unlabelled:
+            labels |= find_labels(pattern, self.rig.names, unlabelled, self.leave_out)
+        return {name: labels[name] for name in self.used.names}
+
+    def _joined(self, pattern: str) -> ImageFiles:
+        """Pictures with the views of all cameras.
+
+        Raises:
+            ArgumentError: the first picture does not hold so many views.
+        """
+        if "{" not in pattern and not Path(pattern).expanduser().is_file():
+            raise ArgumentError(
+                f"images: expected a pattern with {{camera}} and, if there are several frames, {{frame}}, such as "
+                f"{EXAMPLE}, or pictures with the views of all cameras, got {pattern!r}"
+            )
+        source = ImageFiles(find_files(pattern, [""], self.frames, self.leave_out), self.used, self.rig)
+        source.sizes()
+        return source
+
+    def _refuse_frames(self) -> None:
+        if self.frames is not None:
+            raise ArgumentError(
+                "frames: of videos, bags and live cameras choose frames with start=, stop= and every="
+            )
 
 
 def open_source(
@@ -38,6 +114,7 @@ def open_source(
     leave_out: Iterable[Path] = (),
     cameras: Sequence[str] | None = None,
     tolerance: float = SAME_TIME,
+    labels: Mapping[str, str] | None = None,
 ) -> Source:
     """Find the frames that ``images`` stands for.
 
@@ -47,133 +124,104 @@ def open_source(
             all views side by side; a bag of ROS (``run.bag``, or the folder of one of ROS 2); or ``live:0,1,2,3``,
             devices of this machine, or ``live:0``, one with all views.
         rig: all cameras of the calibration: which file belongs to which is decided on all of them.
-        frames: names or numbers of the frames to take, of image files.
-        leave_out: files that are no images, such as masks beside them.
-        cameras: names of those that are used, in order; all when not given.
-        tolerance: seconds between images of one frame, as ``find_capture`` has it.
+        frames: names or numbers of the frames to use, of image files.
+        leave_out: files that are no images, such as masks in the same folder.
+        cameras: names of the cameras in use, in order; all when not given.
+        tolerance: seconds between images of one moment, at most.
+        labels: camera name -> what ``{camera}`` stands for, or the topic of a bag, where it is not to be found by name.
 
     Raises:
-        ArgumentError: ``images`` is none of these, or frames are named of a video.
+        ArgumentError: ``images`` is none of these, or may be several, or frames are named of a video.
         MissingFileError: there is nothing.
     """
     used = rig if cameras is None else rig.subset(list(cameras))
-    if images.startswith("live:"):
-        _refuse_frames(frames)
-        return Videos(_devices(images, used), used, rig)
+    opening = _Opening(rig, used, frames, list(leave_out), tolerance, labels or {})
     path = Path(images).expanduser()
-    suffix = path.suffix.lower()
-    if suffix in VIDEO_SUFFIXES:
-        _refuse_frames(frames)
-        if "{" not in images:
-            if not path.is_file():
-                raise MissingFileError(
-                    f"images: {path}: no such file (a video with the views of all cameras expected)"
-                )
-            return Videos({"": path}, used, rig)
-        labels = find_labels(images, rig.names, used.names)
-        (files,) = find_capture(images, used.names, labels=labels).values()
-        return _announced(Videos(files, used, rig), labels)
-    bag = bag_of(path) if "{" not in images else None
-    if bag is not None:
-        _refuse_frames(frames)
-        return Bag(bag, used, rig, tolerance)
-    if path.is_dir():
-        return _of_folder(path, rig, frames, leave_out, used, tolerance)
-    if len(rig) > 1 and "{camera" not in images:
-        return _stills(images, rig, frames, leave_out, used)
-    labels = find_labels(images, rig.names, used.names, leave_out)
-    return _announced(
-        Files(
-            find_capture(images, used.names, frames, leave_out, labels=labels, tolerance=tolerance), used, rig
-        ),
-        labels,
-    )
+    if path.is_dir() and bag_of(path) is None:
+        return _of_folder(path, opening)
+    return opening.source(images)
 
 
-def _announced(source: Source, labels: Mapping[str, str]) -> Source:
+def _labelled(source: Source, labels: Mapping[str, str]) -> Source:
     """A source that says what ``{camera}`` stands for where it is not the cameras' names."""
     if any(name != label for name, label in labels.items()) and len(labels) > 1:
         source.labels = dict(labels)
     return source
 
 
-def _stills(
-    pattern: str,
-    rig: CameraRig,
-    frames: Iterable[int | str] | None,
-    leave_out: Iterable[Path],
-    used: CameraRig,
-) -> Files:
-    """Pictures that hold the views of all cameras.
+def _of_folder(folder: Path, opening: _Opening) -> Source:
+    """The one kind of files in a folder that every camera has.
 
     Raises:
-        ArgumentError: the first picture does not hold so many views.
+        ArgumentError: there are several kinds, such as pictures and thumbnails.
+        MissingFileError: there is none.
     """
-    if "{" not in pattern and not Path(pattern).expanduser().is_file():
-        raise ArgumentError(
-            f"images: expected a pattern with {{camera}} and, if there are several frames, {{frame}}, such as "
-            f"'capture/cam{{camera}}/{{frame:05d}}.png', or pictures with the views of all cameras, got {pattern!r}"
-        )
-    pictures = find_capture(pattern, ["all"], frames, leave_out)
-    source = Files({name: {"": files["all"]} for name, files in pictures.items()}, used, rig)
-    source.sizes()
-    return source
-
-
-def _of_folder(
-    folder: Path,
-    rig: CameraRig,
-    frames: Iterable[int | str] | None,
-    leave_out: Iterable[Path],
-    used: CameraRig,
-    tolerance: float,
-) -> Source:
-    """The first layout for which there are files of every camera."""
-    files = (file for file in (*folder.glob("*"), *folder.glob("*/*")) if not file.name.startswith("."))
-    suffixes = sorted({file.suffix for file in files if file.is_file()})
-    excluded = list(leave_out)
-    wrong: Exception | None = None  # of the first layout that there is
-    for suffix in suffixes:
-        if suffix.lower() in VIDEO_SUFFIXES:
-            alone = [file for file in folder.glob(f"[!.]*{suffix}") if file.is_file()]
-            stems = [stem for stem in STEMS if "{frame}" not in stem]
-            for stem in stems:
-                try:
-                    return open_source(f"{folder}/{stem}{suffix}", rig, frames, cameras=used.names)
-                except MissingFileError:
-                    continue
-            if len(alone) == 1:
-                return open_source(str(alone[0]), rig, frames, cameras=used.names)
-        elif suffix.lower() in IMAGE_SUFFIXES:
-            for stem in (*ALONE[: len(rig) == 1], *STEMS, *ALONE[: len(rig) > 1]):
-                try:
-                    return open_source(
-                        f"{folder}/{stem}{suffix}", rig, frames, excluded, used.names, tolerance
-                    )
-                except (MissingFileError, ArgumentError) as error:
-                    if wrong is None and _is_layout(f"{folder}/{stem}{suffix}", rig, used, excluded):
-                        wrong = error
-    if wrong is not None:
-        raise wrong
+    excluded = {path.resolve() for path in opening.leave_out}
+    files = [
+        file
+        for file in (*folder.glob("*"), *folder.glob("*/*"))
+        if not file.name.startswith(".") and file.is_file() and file.resolve() not in excluded
+    ]
+    previews = {file for file in files if _is_preview(file)}
+    recordings = set(files) - previews
+    for group, others in ((recordings, previews), (previews, recordings)):
+        source = _of_files(folder, group, replace(opening, leave_out=[*opening.leave_out, *others]))
+        if source is None:
+            continue
+        if previews and group is recordings:
+            names = ", ".join(sorted(file.name for file in previews)[:4])
+            warnings.warn(f"images: {folder}: previews are left out ({names})", stacklevel=3)
+        return source
     raise MissingFileError(
-        f"images: {folder} holds no images or videos of all {len(rig)} cameras ({', '.join(rig.names)}); tried "
-        f"{', '.join(STEMS)} with the suffixes {', '.join(suffixes) or '(no files)'}. Give a pattern, "
+        f"images: {folder} holds no images or videos of all {len(opening.rig)} cameras "
+        f"({', '.join(opening.rig.names)}); tried {', '.join(LAYOUTS)} with the suffixes "
+        f"{', '.join(sorted({file.suffix for file in files})) or '(no files)'}. Give a pattern, "
         f"images='{folder}/cam{{camera}}/{{frame}}.png'"
     )
 
 
-def _is_layout(pattern: str, rig: CameraRig, used: CameraRig, leave_out: Iterable[Path]) -> bool:
-    """Whether a pattern with ``{camera}`` has files of every camera, or of cameras of which it is not clear."""
-    try:
-        find_labels(pattern, rig.names, used.names, leave_out)
-    except MissingFileError:
-        return False
-    except ArgumentError:
-        return "{camera}" in pattern
-    return True
+def _is_preview(file: Path) -> bool:
+    """Whether a camera wrote a video as a small copy of another, as GoPros and Insta360s do."""
+    return file.suffix.lower() == ".lrv" or (
+        file.name.startswith("LRV_") and file.suffix.lower() in VIDEO_SUFFIXES
+    )
 
 
-def _devices(images: str, rig: CameraRig) -> dict[str, Path | int]:
+def _of_files(folder: Path, files: Iterable[Path], opening: _Opening) -> Source | None:
+    """The source of the one kind of files of which every camera has some; None without one."""
+    suffixes = sorted({f.suffix for f in files if f.suffix.lower() in (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES)})
+    patterns = [pattern for suffix in suffixes if (pattern := _layout(folder, suffix, opening)) is not None]
+    if not patterns:  # one video of all views, or pictures of them
+        joined = sorted(file for file in files if file.parent == folder and file.suffix in suffixes)
+        videos = [str(file) for file in joined if file.suffix.lower() in VIDEO_SUFFIXES]
+        stills = {f"{folder}/{JOINED}{file.suffix}": None for file in joined if str(file) not in videos}
+        patterns = [*videos, *stills]
+    if len(patterns) > 1:
+        raise ArgumentError(
+            f"images: {folder} holds several kinds of files that may be meant: {', '.join(patterns[:4])}; name one of "
+            f"them, such as images='{patterns[0]}'"
+        )
+    return opening.source(patterns[0]) if patterns else None
+
+
+def _layout(folder: Path, suffix: str, opening: _Opening) -> str | None:
+    """The first layout of which a folder has files of every camera, with this suffix."""
+    is_video = suffix.lower() in VIDEO_SUFFIXES
+    layouts = [layout for layout in LAYOUTS if not (is_video and JOINED in layout)]
+    if len(opening.rig) == 1 and not is_video:
+        layouts.insert(0, JOINED)
+    for layout in layouts:
+        try:
+            labels = opening.labels_of(f"{folder}/{layout}{suffix}")
+        except MissingFileError:
+            continue
+        # 1.png to 4.png may be four cameras, or four pictures of all views: names alone tell.
+        if layout != "{camera}" or all(name == label for name, label in labels.items()):
+            return f"{folder}/{layout}{suffix}"
+    return None
+
+
+def _devices(images: str, rig: CameraRig) -> dict[str, int]:
     match = re.fullmatch(r"live:(\d+(?:,\d+)*)", images)
     numbers = [int(number) for number in match[1].split(",")] if match else []
     if len(numbers) == 1 < len(rig):
@@ -184,13 +232,6 @@ def _devices(images: str, rig: CameraRig) -> dict[str, Path | int]:
             f"{', '.join(rig.names)}, such as live:{','.join(map(str, range(len(rig))))}, got {images!r}"
         )
     return dict(zip(rig.names, numbers, strict=True))
-
-
-def _refuse_frames(frames: Iterable[int | str] | None) -> None:
-    if frames is not None:
-        raise ArgumentError(
-            "frames: of videos, bags and live cameras choose frames with start=, stop= and every="
-        )
 
 
 def rig_for_images(rig: CameraRig, sizes: dict[str, tuple[int, int]]) -> CameraRig:
@@ -210,24 +251,31 @@ def rig_with_masks(
 
     Args:
         rig: of all cameras.
-        masks: pattern of images, white where usable.
+        masks: pattern of images with ``{camera}``; or one image with the masks of all, as their images lie side by
+            side; white where usable.
         cameras: names of those that are used; all when not given.
     """
-    files = find_masks(masks, rig.names, cameras)
+    names = rig.names if cameras is None else list(cameras)
+    path = Path(masks).expanduser()
+    if "{" not in masks and path.is_file() and len(rig) > 1:
+        views = split_views(read_mask(path, what="a mask of all views"), rig)
+        for name in names:
+            height, width = rig.cameras[name].image_size
+            if views[name].shape != (height, width):
+                raise FileFormatError(
+                    f"{path}: expected masks of {width} x {height} pixels (width x height, from the calibration) side "
+                    f"by side, got {views[name].shape[1]} x {views[name].shape[0]} for {name}"
+                )
+        return rig.replaced(masks={name: views[name].contiguous() for name in names}), [path]
+    if "{camera}" not in masks or "{frame" in masks:
+        raise ArgumentError(
+            "masks: expected a pattern with {camera} only, such as 'capture/cam{camera}/mask.png', or one image with "
+            f"the masks of all cameras, as their images lie side by side, got {masks!r}"
+        )
+    labels = find_labels(masks, rig.names, names, key="masks")
+    (files,) = find_files(masks, names, key="masks", labels=labels).frames.values()
     usable = {
-        name: read_mask(path, rig.cameras[name].image_size, f"the mask of camera {name}")
-        for name, path in files.items()
+        name: read_mask(file, rig.cameras[name].image_size, f"the mask of camera {name}")
+        for name, file in files.items()
     }
     return rig.replaced(masks=usable), list(files.values())
-
-
-def spread_evenly(names: list[str], number: int) -> list[str]:
-    """So many names, from the first to the last.
-
-    Examples:
-        >>> spread_evenly(list("abcdefg"), 3)
-        ['a', 'd', 'g']
-    """
-    if len(names) <= number:
-        return names
-    return [names[round(place * (len(names) - 1) / max(number - 1, 1))] for place in range(number)]

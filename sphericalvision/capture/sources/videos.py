@@ -1,242 +1,345 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames of videos and live cameras: one for each camera, one with views side by side, or one of several streams."""
+"""Frames of videos, by PyAV: one for each camera, one with the views of all, or one with a stream for each camera."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack
-from itertools import pairwise
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from functools import cached_property
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import cv2
+import numpy as np
 import numpy.typing as npt
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.capture.sources.frames import Frame, Selection
-from sphericalvision.capture.sources.joined_views import size_of_view, split_views
-from sphericalvision.capture.sources.streams import OF_360_CAMERAS, Stream, StreamCapture, count_streams
-from sphericalvision.core import ArgumentError, FileFormatError
+from sphericalvision.capture.sources.frames import Recording
+from sphericalvision.capture.sources.joined_views import size_of_view
+from sphericalvision.capture.sources.moments import Clock, pair_moments
+from sphericalvision.core import ArgumentError, FileFormatError, first_line
+from sphericalvision.io.times import SAME_TIME
 
-__all__ = ["VIDEO_SUFFIXES", "Videos"]
+__all__ = ["VIDEO_SUFFIXES", "VideoStream", "Videos", "read_streams"]
 
-VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", *OF_360_CAMERAS)
-COUNTED = (".mp4", ".avi", ".mov", ".m4v", ".insv", ".360", ".lrv")
-"""Those whose headers say how many frames there are."""
-Picture = npt.NDArray[Any]
-Opened = dict[str, cv2.VideoCapture | StreamCapture]
+VIDEO_SUFFIXES = (
+    *(".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv"),
+    *(
+        ".insv",
+        ".360",
+        ".lrv",
+        ".mts",
+        ".m2ts",
+        ".ts",
+    ),  # of 360 cameras and camcorders, maybe of several streams
+)
+Picture = npt.NDArray[np.uint8]
 
 
-class Videos:
-    """Frames of videos or live cameras.
+class VideoStream(NamedTuple):
+    """A video stream as its file describes it: the pictures are not decoded.
 
-    Args:
-        files: camera name -> file or index of a device; or under the name ``""`` one that has all views, side by side
-            or in a video stream for each camera, in their order.
-        rig: of the cameras.
-        whole: the rig whose cameras say how views lie side by side, of which ``rig`` has some; ``rig`` when not given.
+    Attributes:
+        file: that holds it.
+        number: among the file's video streams, counted from 0.
+        of: how many video streams the file has.
+        size: (height, width) of its pictures.
+        rate: pictures a second, 0 where the file does not say it.
+        stamps: of the pictures in the order in which they are shown, in the unit of the stream.
+        times: the same in seconds; None where the file has no stamps.
+        key_frames: positions of the pictures that can be decoded without others.
+        damaged: positions of the pictures that the file cuts short.
+        promised: how many pictures the header says there are, at least as many as there are.
+    """
+
+    file: Path
+    number: int
+    of: int
+    size: tuple[int, int]
+    rate: float
+    stamps: list[int]
+    times: list[float | None]
+    key_frames: list[int]
+    damaged: set[int]
+    promised: int
+
+    def __str__(self) -> str:
+        return f"stream {self.number} of {self.file}" if self.of > 1 else str(self.file)
+
+
+def read_streams(file: str | Path) -> list[VideoStream]:
+    """Read what a file says of its video streams, covers of albums left out: all of it is passed through once.
 
     Raises:
-        ArgumentError: rates differ, so that frames of one number are of different moments; or a file has several
-            streams, and not one for each camera.
-        FileFormatError: OpenCV cannot open or decode one of them.
+        ArgumentError: PyAV is not installed.
+        FileFormatError: PyAV cannot open the file, or finds no video in it.
+    """
+    path = Path(file)
+    with _open(path) as container:
+        streams = _streams(container)
+        packets: dict[int, list[tuple[int | None, bool, bool]]] = {stream.index: [] for stream in streams}
+        for packet in _packets(container, streams):
+            if packet.size and not packet.is_discard:
+                stamp = packet.dts if packet.pts is None else packet.pts
+                packets[packet.stream.index].append((stamp, packet.is_keyframe, packet.is_corrupt))
+        described = [
+            _described(path, number, stream, packets[stream.index], container)
+            for number, stream in enumerate(streams)
+        ]
+    if not any(stream.stamps for stream in described):
+        raise FileFormatError(f"{path}: expected a video, but PyAV finds no picture in it; copy it again")
+    return [stream._replace(of=len(described)) for stream in described]
+
+
+def _described(
+    path: Path, number: int, stream: Any, packets: Sequence[tuple[int | None, bool, bool]], container: Any
+) -> VideoStream:
+    has_stamps = all(stamp is not None for stamp, _, _ in packets)
+    if has_stamps:  # pictures are stored in the order in which they are decoded, which may be another
+        packets = sorted(packets, key=lambda packet: packet[0] or 0)
+    rate, unit = float(stream.average_rate or 0), float(stream.time_base)
+    times = [stamp * unit if has_stamps and stamp is not None else None for stamp, _, _ in packets]
+    # Headers also count the pictures that a cut in an editor leaves out; then the duration is that of the others.
+    promised, end = len(packets), (times[-1] or 0.0) if times else 0.0
+    is_short = bool(stream.duration) and end - (times[0] or 0.0) < stream.duration * unit - 2.5 / (
+        rate or 1.0
+    )
+    if stream.frames and (is_short or (packets and packets[-1][2])):
+        promised = max(stream.frames, promised)
+    elif not stream.frames and container.duration:
+        _warn_if_cut(path, container, end + 1 / (rate or 1.0), rate)
+    # What is missing behind the end has times, too, so that it is missing in the moments where it would be.
+    if times and times[-1] is not None and rate:
+        times += [times[-1] + step / rate for step in range(1, promised - len(packets) + 1)]
+    return VideoStream(
+        path,
+        number,
+        1,
+        (stream.codec_context.height, stream.codec_context.width),
+        rate,
+        [position if stamp is None else stamp for position, (stamp, _, _) in enumerate(packets)],
+        times + [None] * (promised - len(times)),
+        [position for position, (_, is_key, _) in enumerate(packets) if is_key],
+        {position for position, (_, _, is_corrupt) in enumerate(packets) if is_corrupt},
+        promised,
+    )
+
+
+def _warn_if_cut(path: Path, container: Any, end: float, rate: float) -> None:
+    """Warn of a file that ends before its header says, in a container whose header does not count pictures."""
+    import av
+
+    duration = container.duration / av.time_base
+    start = (container.start_time or 0) / av.time_base
+    slack = 1.0 if len(container.streams) > 1 else 2 / (rate or 1.0)  # sound may be longer than pictures
+    if end - start < duration - slack:
+        warnings.warn(
+            f"{path}: pictures end after {end - start:.3g} s of the {duration:.3g} s that its header promises; if it "
+            "was cut, copy it again",
+            stacklevel=6,
+        )
+
+
+@contextmanager
+def _open(path: Path) -> Iterator[Any]:
+    if find_spec("av") is None:
+        raise ArgumentError(
+            f"images: {path} is a video, which PyAV reads: pip install 'sphericalvision[recipes]'"
+        )
+    import av
+
+    try:
+        container = av.open(str(path))
+    except (av.FFmpegError, OSError, ValueError) as error:
+        raise FileFormatError(
+            f"{path}: PyAV cannot open it as a video ({first_line(error)}); copy it again"
+        ) from None
+    with container:
+        yield container
+
+
+def _streams(container: Any) -> list[Any]:
+    from av.stream import Disposition
+
+    return [stream for stream in container.streams.video if not stream.disposition & Disposition.attached_pic]
+
+
+def _packets(container: Any, streams: Any) -> Iterator[Any]:
+    """Packets up to the end of the file, or to where it cannot be read any more."""
+    import av
+
+    packets = container.demux(streams)
+    while True:
+        try:
+            packet = next(packets, None)
+        except av.FFmpegError:
+            return
+        if packet is None:
+            return
+        yield packet
+
+
+class _Decoder:
+    """Pictures of a stream by position. Going on is quick; what lies far ahead, or back, begins at a key frame."""
+
+    def __init__(self, stream: VideoStream, stack: ExitStack) -> None:
+        self.stream, self._opened = stream, stack.enter_context(ExitStack())
+        self._start()
+
+    @cached_property
+    def _positions(self) -> dict[int, int]:
+        return {stamp: position for position, stamp in enumerate(self.stream.stamps)}
+
+    def _decoded(self) -> Iterator[Any]:
+        import av
+
+        for packet in _packets(self._container, self._source):
+            try:
+                yield from packet.decode()
+            except av.FFmpegError:  # its picture is missing then, those behind it are not
+                continue
+
+    def read(self, position: int) -> Picture:
+        """The picture at a position ``(h, w, 3)``, RGB, as it is stored: not turned.
+
+        Raises:
+            FileFormatError: it is damaged, or behind the end of the file.
+        """
+        stream = self.stream
+        if position >= len(stream.stamps):
+            raise FileFormatError(
+                f"{stream}: ends after {len(stream.stamps)} of the {stream.promised} frames that its header promises; "
+                f"copy it again, or predict what is there with stop={len(stream.stamps)}"
+            )
+        before = bisect_right(stream.key_frames, position) - 1
+        key_frame = stream.key_frames[before] if before >= 0 else 0
+        if position < self._position or key_frame > self._position + 1:
+            self._go_to(key_frame)
+            self._step()
+            if self._position > position:  # some containers know no exact places
+                self._start()
+        while self._position < position:
+            self._step()
+        if self._position > position or position in stream.damaged:
+            raise FileFormatError(f"{stream}: frame {position} is damaged")
+        picture: Picture = self._frame.to_ndarray(format="rgb24", interpolation="BICUBIC")
+        return picture
+
+    def _start(self) -> None:
+        """Go to before the first picture."""
+        self._opened.close()
+        self._container = self._opened.enter_context(_open(self.stream.file))
+        self._source = _streams(self._container)[self.stream.number]
+        self._source.thread_type = "AUTO"
+        self._position = -1  # of the picture decoded last
+        self._frame: Any = None
+        self._frames = self._decoded()
+
+    def _go_to(self, position: int) -> None:
+        import av
+
+        with suppress(av.FFmpegError):  # of containers that know no places; it goes on from where it is then
+            self._container.seek(self.stream.stamps[position], stream=self._source)
+        self._position, self._frames = -1, self._decoded()
+
+    def _step(self) -> None:
+        """Decode the next picture; behind the last one the position is beyond all others."""
+        self._frame = next(self._frames, None)
+        if self._frame is None:
+            self._position = len(self.stream.stamps)
+            return
+        # Stamps tell positions; a picture whose stamp no packet has follows the one before.
+        self._position = self._positions.get(self._frame.pts, self._position + 1)
+
+
+class Videos(Recording):
+    """Frames of videos, called by their number in the first camera's; a picture is read by its position.
+
+    Args:
+        files: camera name -> file; or under the name ``""`` one that has all views, side by side or in a video stream
+            for each camera, in their order.
+        rig: of the cameras.
+        whole: the rig whose cameras say how views lie side by side, of which ``rig`` has some; ``rig`` when not given.
+        tolerance: seconds between images of one moment, at most.
+
+    Raises:
+        ArgumentError: a file has several streams, and not one for each camera.
+        FileFormatError: PyAV cannot open one of them.
+        MissingFileError: no moment has an image of every camera.
     """
 
     def __init__(
-        self, files: Mapping[str, Path | int], rig: CameraRig, whole: CameraRig | None = None
+        self,
+        files: Mapping[str, Path],
+        rig: CameraRig,
+        whole: CameraRig | None = None,
+        tolerance: float = SAME_TIME,
     ) -> None:
-        self.rig, self.whole = rig, rig if whole is None else whole
-        self.labels: dict[str, str] = {}
-        self.files = self._with_streams(files)
-        self._sampled: list[Frame] = []
-        self.live = isinstance(next(iter(self.files.values())), int)
-        with ExitStack() as stack:
-            videos = self._open(stack)
-            rates = {name: video.get(cv2.CAP_PROP_FPS) or 0.0 for name, video in videos.items()}
-            self.rate = next(iter(rates.values()))
-            counts = {name: int(video.get(cv2.CAP_PROP_FRAME_COUNT)) for name, video in videos.items()}
-            self.picture_sizes = {
-                name: (int(video.get(cv2.CAP_PROP_FRAME_HEIGHT)), int(video.get(cv2.CAP_PROP_FRAME_WIDTH)))
-                for name, video in videos.items()
-            }
-        if not self.live:
-            _check_rates(rates, counts)
-        fewest, most = min(counts.values()), max(counts.values())
-        self.num_frames = None if self.live or fewest <= 0 else fewest
-        if self.num_frames and fewest < most:
-            listed = ", ".join(f"{name} {count}" for name, count in counts.items())
-            warnings.warn(
-                f"images: the videos have different numbers of frames ({listed}); "
-                f"{most - fewest} that not all cameras have are left out",
-                stacklevel=2,
-            )
+        whole = rig if whole is None else whole
+        self.streams = _streams_of_cameras(files, rig, whole)
+        positions = {
+            name: {f"{position:06d}": position for position in range(stream.promised)}
+            for name, stream in self.streams.items()
+        }
+        moments = pair_moments(positions, self._clocks(positions), tolerance, names="their numbers")
+        super().__init__(moments, rig, whole)
+        first = next(iter(self.streams.values()))
+        self.rate, self._times = first.rate, moments.times
+        self.labels = {name: f"stream {own.number}" for name, own in self.streams.items() if own.of > 1}
 
-    def _with_streams(self, files: Mapping[str, Path | int]) -> dict[str, Path | int | Stream]:
-        """Files, or the streams of the one that has a stream for each camera, which are labels then."""
-        for name, file in files.items():
-            if isinstance(file, int) or (number := count_streams(file)) == 1:
-                continue
-            if name or number != len(self.whole):
-                raise ArgumentError(
-                    f"images: {file} has {number} video streams, expected one for each of the {len(self.whole)} "
-                    f"camera(s) of the calibration in one file, or one alone in a file of each camera. Write each to a "
-                    f"file of its own: ffmpeg -i in{file.suffix} -map 0:v:0 -c copy cam1.mp4, and so on with 0:v:1"
-                )
-            places = {name: self.whole.names.index(name) for name in self.rig.names}
-            self.labels = {name: f"stream {place}" for name, place in places.items()}
-            return {name: Stream(file, place) for name, place in places.items()}
-        return dict(files)
+    def _clocks(self, positions: Mapping[str, Mapping[str, int]]) -> list[Clock]:
+        """Times in the files; and, of several files, whose clocks may differ, those since each one's first picture."""
+        times = {
+            name: dict(zip(positions[name], stream.times, strict=True))
+            for name, stream in self.streams.items()
+        }
+        clocks = [Clock("the times in the videos", times)]
+        if len({stream.file for stream in self.streams.values()}) > 1:
+            since = {name: _since_first(own) for name, own in times.items()}
+            clocks.append(Clock("the times since the first picture of each video", since))
+        return clocks
 
     def sizes(self) -> dict[str, tuple[int, int]]:
         """Camera name -> (height, width) of its images."""
-        if "" not in self.picture_sizes:
-            return self.picture_sizes
-        return dict.fromkeys(self.rig.names, size_of_view(self.picture_sizes[""], self.whole))
+        sizes = {name: stream.size for name, stream in self.streams.items()}
+        return dict.fromkeys(self.rig.names, size_of_view(sizes[""], self.whole)) if "" in sizes else sizes
 
     def times(self) -> list[float]:
-        """Seconds of each frame since the first, as the file has them: frames may last unevenly long.
+        """Seconds of each frame since the first, as the file has them: frames may last unevenly long."""
+        if self._times is None:
+            return [number / self.rate for number in range(len(self.moments))] if self.rate else []
+        return [time - self._times[0] for time in self._times]
 
-        The whole video of the first camera is passed through; where it has no times, they follow from its rate.
-        """
-        times: list[float] = []
+    @contextmanager
+    def opened(self) -> Iterator[Callable[[str, Any], Any]]:
+        """A function that decodes pictures by their positions."""
         with ExitStack() as stack:
-            video = next(iter(self._open(stack).values()))
-            while video.grab():
-                times.append(video.get(cv2.CAP_PROP_POS_MSEC) / 1000)
-        if len(times) < 2 or not all(before < after for before, after in pairwise(times)):
-            return [number / self.rate for number in range(len(times))] if self.rate else []
-        return [time - times[0] for time in times]
-
-    def names(self, selection: Selection) -> list[str] | None:
-        """Names of the frames chosen; None where nobody knows how many there are."""
-        if self.num_frames is None:
-            return None
-        return [_name(number) for number in selection.positions(self.num_frames)]
-
-    def samples(self) -> list[Frame]:
-        """The first, the middle and the last frame; none of live cameras."""
-        if self.live or self._sampled:
-            return self._sampled
-        last = (self.num_frames or 1) - 1
-        with ExitStack() as stack:
-            videos = self._open(stack)
-            for number in sorted({0, last // 2, max(last - 1, 0)}):
-                for video in videos.values():
-                    video.set(cv2.CAP_PROP_POS_FRAMES, number)
-                images = {name: video.read()[1] for name, video in videos.items()}
-                if all(image is not None for image in images.values()):
-                    self._sampled.append(Frame(_name(number), self._by_camera(images)))
-        return self._sampled
-
-    def frames(self, selection: Selection, wanted: Callable[[str], bool]) -> Iterator[Frame]:
-        """The frames chosen, one after the other; what is not wanted is passed over without being decoded."""
-        with ExitStack() as stack:
-            videos = self._open(stack)
-            number = -1
-            while selection.stop is None or number + 1 < selection.stop:
-                number += 1
-                grabbed = [video.grab() for video in videos.values()]
-                if not all(grabbed):
-                    ended = list(self.files.values())[grabbed.index(False)]
-                    yield from self._missing(ended, number, selection, wanted)
-                    return
-                if number not in selection or not wanted(_name(number)):
-                    continue
-                images = {name: video.retrieve()[1] for name, video in videos.items()}
-                broken = [str(self.files[name]) for name, image in images.items() if image is None]
-                if broken:
-                    yield Frame(
-                        _name(number), None, FileFormatError(f"{broken[0]}: frame {number} is damaged")
-                    )
-                    continue
-                yield Frame(_name(number), self._by_camera(images))
-
-    def _missing(
-        self, file: Path | int | Stream, number: int, selection: Selection, wanted: Callable[[str], bool]
-    ) -> Iterator[Frame]:
-        """Frames after the end of a video that its header promises, chosen and wanted; each says why it is not there.
-
-        Containers whose headers count no frames tell how long they last, of which OpenCV makes a number. Matroska's
-        tell their size as well: only what is shorter was cut. Of others the number may be off by a second.
-        """
-        promised = self.num_frames or 0
-        if promised > number and not str(file).lower().endswith(COUNTED):
-            cut = _is_cut(Path(file.file if isinstance(file, Stream) else str(file)))
-            promised = promised if cut or (cut is None and promised - number > self.rate) else number
-        error = FileFormatError(
-            f"{file}: ends after {number} of the {promised} frames that its header promises; copy it again, or "
-            f"predict what is there with stop={number}"
-        )
-        for missing in range(number, promised):
-            if missing in selection and wanted(_name(missing)):
-                yield Frame(_name(missing), None, error)
-
-    def _by_camera(self, images: Mapping[str, Picture]) -> dict[str, Picture]:
-        rgb = {name: cv2.cvtColor(image, cv2.COLOR_BGR2RGB) for name, image in images.items()}
-        if "" not in rgb:
-            return rgb
-        views = split_views(rgb[""], self.whole)
-        return {name: views[name] for name in self.rig.names}
-
-    def _open(self, stack: ExitStack) -> Opened:
-        videos: Opened = {}
-        for name, file in self.files.items():
-            video: Any
-            if isinstance(file, Stream):
-                video = StreamCapture(file)
-            else:
-                video = cv2.VideoCapture(file if isinstance(file, int) else str(file))
-            stack.callback(video.release)
-            video.set(
-                cv2.CAP_PROP_ORIENTATION_AUTO, 0
-            )  # as image files: calibrations are of what the sensor stores
-            if not video.isOpened():
-                what = f"camera {file} of this machine" if isinstance(file, int) else str(file)
-                raise FileFormatError(
-                    f"{what}: OpenCV cannot open it; is it there, free, and of a codec that OpenCV was built with?"
-                )
-            videos[name] = video
-        return videos
+            decoders = {name: _Decoder(stream, stack) for name, stream in self.streams.items()}
+            yield lambda camera, position: decoders[camera].read(position)
 
 
-def _check_rates(rates: Mapping[str, float], counts: Mapping[str, int]) -> None:
-    """Refuse rates that differ by 2 % and more, and warn of less where it adds up to a frame."""
-    stated = {name: rate for name, rate in rates.items() if rate > 0}
-    if len(stated) < 2:
-        return
-    slowest, fastest = min(stated.values()), max(stated.values())
-    listed = ", ".join(f"{name} {rate:.5g}" for name, rate in stated.items())
-    if fastest > 1.02 * slowest:
-        raise ArgumentError(
-            f"images: the videos have different rates ({listed} frames a second), so that frames of one number are of "
-            f"different moments; write them anew at one rate, such as ffmpeg -i in.mp4 -r {slowest:.5g} out.mp4"
-        )
-    drift = min(counts.values()) * (1 / slowest - 1 / fastest)
-    if drift * fastest > 1:
-        warnings.warn(
-            f"images: the videos have different rates ({listed} frames a second); the last frames of one number are up "
-            f"to {drift:.2g} s apart",
-            stacklevel=3,
-        )
+def _streams_of_cameras(
+    files: Mapping[str, Path], rig: CameraRig, whole: CameraRig
+) -> dict[str, VideoStream]:
+    """The stream of each file, or the streams of the one that has a stream for each camera."""
+    streams = {}
+    for name, file in files.items():
+        described = read_streams(file)
+        if len(described) == 1:
+            streams[name] = described[0]
+        elif name or len(described) != len(whole):
+            raise ArgumentError(
+                f"images: {file} has {len(described)} video streams, expected one for each of the {len(whole)} "
+                f"camera(s) of the calibration in one file, or one alone in a file of each camera. Write each to a "
+                f"file of its own: ffmpeg -i in{file.suffix} -map 0:v:0 -c copy cam1.mp4, and so on with 0:v:1"
+            )
+        else:
+            return {camera: described[whole.names.index(camera)] for camera in rig.names}
+    return streams
 
 
-def _name(number: int) -> str:
-    return f"{number:06d}"
-
-
-def _is_cut(file: Path) -> bool | None:
-    """Whether a Matroska file is shorter than its segment; None of other files and of segments of unknown size.
-
-    References:
-        RFC 8794, 4 (sizes: as many bytes as the first has leading zeros, and one) and RFC 9559, 5.1 (the segment).
-    """
-    with file.open("rb") as stream:
-        head = stream.read(4096)
-    at = head.find(b"\x18\x53\x80\x67") + 4
-    if not head.startswith(b"\x1a\x45\xdf\xa3") or at < 4 or at >= len(head) or not head[at]:
-        return None
-    length = 9 - head[at].bit_length()
-    unknown = (1 << 7 * length) - 1
-    size = int.from_bytes(head[at : at + length], "big") & unknown
-    return None if size == unknown else file.stat().st_size < at + length + size
+def _since_first(times: Mapping[str, float | None]) -> dict[str, float | None]:
+    first = next((time for time in times.values() if time is not None), 0.0)
+    return {name: None if time is None else time - first for name, time in times.items()}

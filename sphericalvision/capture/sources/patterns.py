@@ -1,0 +1,261 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files by a pattern such as ``cam{camera}/{frame:05d}.png``: which file is of which camera and frame."""
+
+from __future__ import annotations
+
+import re
+import string
+from collections.abc import Container, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import NoReturn
+
+from sphericalvision.capture.sources.moments import Clock, Moments, pair_moments
+from sphericalvision.core import ArgumentError, MissingFileError
+from sphericalvision.io.times import SAME_TIME, are_counts, in_order, seconds
+
+__all__ = ["find_files", "find_labels", "labels_by_number"]
+
+EXAMPLE = "'capture/cam{camera}/{frame:05d}.png'"
+
+
+def find_files(
+    pattern: str,
+    names: Sequence[str],
+    frames: Iterable[int | str] | None = None,
+    leave_out: Iterable[Path] = (),
+    key: str = "images",
+    labels: Mapping[str, str] | None = None,
+    tolerance: float = SAME_TIME,
+) -> Moments:
+    """Find the frames that every camera has, or the requested ones, in their order.
+
+    ``{camera}`` stands for a label of ``find_labels``. ``{frame}`` stands for the frame, with a width if it has one
+    (``{frame:05d}``); it may be missing when there is one frame only. Frames of equal names belong together; where
+    cameras have other names and all are times, those within ``tolerance``, called as the first camera's.
+
+    Args:
+        pattern: of the files.
+        names: cameras, in order.
+        frames: requested frames, by number or name; all when not given.
+        leave_out: files that are no images, such as masks in the same folder.
+        key: that the pattern was given by, for messages.
+        labels: of ``find_labels``, of the whole rig; by default of ``names``.
+        tolerance: seconds between images of one moment, at most.
+
+    Raises:
+        ArgumentError: the pattern has no ``{camera}``, or other fields.
+        MissingFileError: there are no files, or a requested frame is missing.
+    """
+    requested = None if frames is None else [_frame_text(pattern, frame) for frame in frames]
+    excluded = {path.resolve() for path in leave_out}
+    if labels is None:
+        labels = find_labels(pattern, names, leave_out=leave_out, key=key)
+    files = {name: _files(pattern, labels[name], excluded) for name in names}
+    clocks = _clocks(files)
+    moments = pair_moments(files, clocks, tolerance, key)
+    if not clocks:  # equal names say themselves what belongs together
+        moments = moments._replace(pairing="")
+    if requested is None:
+        return moments
+    for frame in requested:
+        if frame not in moments.frames:
+            camera = next((name for name in names if frame not in files[name]), None)
+            _refuse_missing(pattern, frame, camera, labels, files, key)
+    return moments._replace(frames={frame: moments.frames[frame] for frame in requested}, warnings=[])
+
+
+def _clocks(files: Mapping[str, Mapping[str, Path]]) -> list[Clock]:
+    """The times that names tell, where cameras have other names and these are no counts."""
+    names = list(set().union(*files.values()))
+    if all(len(own) == len(names) for own in files.values()) or are_counts(names):
+        return []
+    times = dict(zip(names, seconds(names), strict=True))
+    if all(time is None for time in times.values()):
+        return []
+    return [
+        Clock(
+            "the times in their names", {c: {name: times[name] for name in own} for c, own in files.items()}
+        )
+    ]
+
+
+def _refuse_missing(
+    pattern: str,
+    frame: str,
+    camera: str | None,
+    labels: Mapping[str, str],
+    files: Mapping[str, Mapping[str, Path]],
+    key: str,
+) -> NoReturn:
+    """Say what is missing of a requested frame."""
+    if camera is None:
+        raise MissingFileError(
+            f"{key}: frame {frame} has no image of every camera at one time; correct frames="
+        )
+    names = in_order(files[camera])
+    hint = ", ".join(names[:4])
+    padded = next((name for name in names if name != frame and name.lstrip("0") == frame.lstrip("0")), None)
+    if padded is not None:
+        hint += f"; {{frame:0{len(padded)}d}} in the pattern stands for {padded}"
+    raise MissingFileError(
+        f"{key}: {_path(pattern, labels[camera], frame)}: no such file. The first frames there are {hint}. Correct "
+        "frames= or the pattern"
+    )
+
+
+def find_labels(
+    pattern: str,
+    names: Sequence[str],
+    cameras: Sequence[str] | None = None,
+    leave_out: Iterable[Path] = (),
+    key: str = "images",
+) -> dict[str, str]:
+    """Find what ``{camera}`` stands for: a camera's name; else a number, as ``labels_by_number`` has it.
+
+    It is decided on the whole rig, so that a camera has the same files whether all cameras are used or some.
+
+    Args:
+        pattern: of the files.
+        names: cameras of the whole rig, in order.
+        cameras: those in use; all when not given.
+        leave_out: files that are no images.
+        key: that the pattern was given by, for messages.
+
+    Raises:
+        ArgumentError: the pattern has no ``{camera}``, or other fields; or several numbers may be meant.
+        MissingFileError: there are no files of every camera.
+    """
+    fields = _fields(pattern, key)
+    used = list(names if cameras is None else cameras)
+    if not ("camera" in fields or len(used) == 1) or not fields <= {"camera", "frame"}:
+        raise ArgumentError(
+            f"{key}: expected a pattern with {{camera}} and, if there are several frames, {{frame}}, such as "
+            f"{EXAMPLE}, got {pattern!r}"
+        )
+    excluded = {path.resolve() for path in leave_out}
+    if all(_files(pattern, name, excluded) for name in used):
+        return {name: name for name in used}
+    if "camera" not in fields:
+        raise MissingFileError(
+            f"{key}: no file like {pattern!r} (looked in {Path.cwd()}); correct the pattern"
+        )
+    numbers = sorted(_numbers(pattern, excluded), key=int)
+    labels = labels_by_number(numbers, names, used)
+    if labels is None:
+        got = f"the numbers {', '.join(numbers)}" if numbers else "no file for it"
+        raise MissingFileError(
+            f"{key}: {pattern!r} has no files of each of {', '.join(used)} (looked in {Path.cwd()}). {{camera}} stands "
+            f"for a camera's name, the number in it, or as many numbers as the rig has cameras; got {got}. Call files "
+            "as the cameras, or correct the pattern"
+        )
+    return labels
+
+
+def labels_by_number(
+    labels: Sequence[str], names: Sequence[str], used: Sequence[str]
+) -> dict[str, str] | None:
+    """Labels of cameras that are numbers: the last number in a camera's name, or the cameras' order.
+
+    The number in the name counts where every camera has a label of its number, or where no label is of another number;
+    the order counts where there are as many labels as cameras.
+
+    Args:
+        labels: that there are, ``"00"`` or ``"1"``.
+        names: cameras of the whole rig, in order.
+        used: cameras in use.
+
+    Returns:
+        camera name -> label; None where numbers do not tell.
+
+    Examples:
+        >>> labels_by_number(["00", "10"], ["cam0", "cam10"], ["cam10"])
+        {'cam10': '10'}
+        >>> labels_by_number(["0", "1"], ["front", "back"], ["front", "back"])
+        {'front': '0', 'back': '1'}
+        >>> labels_by_number(["0", "1", "2"], ["front", "back"], ["front"])  # which two?
+    """
+    by_number = {int(label): label for label in labels}
+    if len(by_number) != len(labels):  # 1 and 01
+        return None
+    digits = [re.findall(r"\d+", name) for name in names]
+    numbers = {name: int(own[-1]) for name, own in zip(names, digits, strict=True) if own}
+    if len(set(numbers.values())) == len(names):
+        needed = {numbers[name] for name in used}
+        everything = set(numbers.values())
+        if everything <= by_number.keys() or needed <= by_number.keys() <= everything:
+            return {name: by_number[numbers[name]] for name in used}
+    if len(by_number) != len(names):
+        return None
+    in_turn = dict(zip(names, sorted(by_number), strict=True))
+    return {name: by_number[in_turn[name]] for name in used}
+
+
+def _fields(pattern: str, key: str = "images") -> set[str]:
+    try:
+        return {field for _, field, _, _ in string.Formatter().parse(pattern) if field is not None}
+    except ValueError as error:
+        raise ArgumentError(f"{key}: {pattern!r} is not a pattern ({error})") from None
+
+
+def _numbers(pattern: str, excluded: Container[Path]) -> set[str]:
+    """The numbers that ``{camera}`` may stand for."""
+    return {camera for camera, _ in _matches(pattern, None, excluded)}
+
+
+def _files(pattern: str, label: str, excluded: Container[Path] = ()) -> dict[str, Path]:
+    """Frame -> file of one camera; ``""`` is the frame of a pattern without ``{frame}``."""
+    files = {}
+    for (_, frame), file in _matches(pattern, label, excluded).items():
+        if re.search("[\0-\x1f\ud800-\udfff]", frame):  # results are listed by name, a line each, in UTF-8
+            raise ArgumentError(
+                f"images: {str(file)!a}: expected a name in UTF-8 without line ends; rename it"
+            )
+        files[frame] = file
+    return files
+
+
+def _matches(pattern: str, label: str | None, excluded: Container[Path]) -> dict[tuple[str, str], Path]:
+    """Label and frame -> file; of one label, or of all that are numbers."""
+    glob, expression = "", ""
+    for text, field, spec, _ in string.Formatter().parse(str(Path(pattern).expanduser())):
+        glob += _escaped(text)
+        expression += re.escape(text)
+        if field == "camera" and label is not None:
+            glob += _escaped(label)
+            expression += re.escape(label)
+        elif field is not None:
+            digits = field == "camera" or (spec or "").endswith("d")
+            glob += "*"
+            repeated = f"(?P<{field}>" in expression
+            expression += f"(?P={field})" if repeated else f"(?P<{field}>{'[0-9]+' if digits else '[^/]+'})"
+    path = Path(glob)
+    anchor = Path(path.anchor) if path.is_absolute() else Path()
+    is_hidden_pattern = Path(pattern).name.startswith(".")
+    matches = {}
+    for file in anchor.glob(str(path.relative_to(path.anchor) if path.is_absolute() else path)):
+        match = re.fullmatch(expression, str(file))
+        is_hidden = file.name.startswith(".") and not is_hidden_pattern  # ._0001.png of macOS
+        if match and not is_hidden and file.is_file() and file.resolve() not in excluded:
+            values = match.groupdict()
+            matches[values.get("camera", ""), values.get("frame") or ""] = file
+    return matches
+
+
+def _escaped(text: str) -> str:
+    return re.sub(r"([*?\[])", r"[\1]", text)
+
+
+def _frame_text(pattern: str, frame: int | str) -> str:
+    """A frame as it stands in file names."""
+    for _, field, spec, _ in string.Formatter().parse(pattern):
+        if field == "frame":
+            try:
+                return format(int(frame) if spec and spec.endswith("d") else frame, spec or "")
+            except ValueError:
+                raise ArgumentError(f"frames: expected numbers, as {pattern!r} says, got {frame!r}") from None
+    raise ArgumentError(f"frames: {pattern!r} has no {{frame}} to put {frame!r} in")
+
+
+def _path(pattern: str, label: str, frame: str) -> str:
+    values = {"camera": label, "frame": frame, None: ""}
+    return "".join(text + values[field] for text, field, _, _ in string.Formatter().parse(pattern))

@@ -1,0 +1,377 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Laws of all sources of frames: a frame is one moment, an image of each camera, and what is left out is counted."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.capture.sources.frames import Frame, Selection, Source
+from sphericalvision.capture.sources.moments import Clock, pair_moments
+from sphericalvision.capture.sources.opening import open_source, rig_with_masks
+from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
+from sphericalvision.io.images import write_image
+from tests.capture.bags import write_bag
+
+SIZE = (32, 48)
+RIG = ring_rig(3, image_size=SIZE)
+STEP = 0.1
+"""Seconds between moments; cameras are 2 ms apart."""
+Moments = Mapping[str, Sequence[int]]
+Writer = Callable[[Path, Moments], str]
+EVERYTHING: Moments = dict.fromkeys(RIG.names, range(10))
+LOST: dict[str, Moments] = {
+    "nothing": EVERYTHING,
+    "the beginning": EVERYTHING | {"cam2": range(3, 10)},
+    "the beginning of the first": EVERYTHING | {"cam1": range(2, 10)},
+    "the end": EVERYTHING | {"cam3": range(7)},
+    "here and there": {
+        "cam1": [0, 1, 2, 4, 5, 6, 7, 8, 9],
+        "cam2": [0, 1, 2, 3, 4, 5, 8, 9],
+        "cam3": range(1, 9),
+    },
+}
+"""Moments of each camera's images, where some were lost on the way."""
+
+
+def picture(moment: int) -> np.ndarray:
+    """A picture that tells its moment by its grey, which survives compression."""
+    return np.full((*SIZE, 3), 20 + 20 * moment, np.uint8)
+
+
+def moments_of(frame: Frame) -> set[int]:
+    """The moments that the images of a frame show."""
+    assert frame.images is not None
+    greys = [float(torch.as_tensor(np.asarray(image)).double().mean()) for image in frame.images.values()]
+    return {round((grey * (255 if grey <= 1 else 1) - 20) / 20) for grey in greys}
+
+
+def seconds(camera: str, moment: int) -> float:
+    return STEP * moment + 0.002 * RIG.names.index(camera)
+
+
+def as_files(folder: Path, moments: Moments) -> str:
+    """Image files called by their times in nanoseconds."""
+    for camera, own in moments.items():
+        for moment in own:
+            time = 1_700_000_000 * 10**9 + round(seconds(camera, moment) * 1e9)
+            write_image(folder / f"{camera}/{time}.png", picture(moment))
+    return f"{folder}/{{camera}}/{{frame}}.png"
+
+
+def as_counted_files(folder: Path, moments: Moments) -> str:
+    """Image files called by the number of their moment."""
+    for camera, own in moments.items():
+        for moment in own:
+            write_image(folder / f"{camera}/{moment}.png", picture(moment))
+    return f"{folder}/{{camera}}/{{frame}}.png"
+
+
+def write_streams(path: Path, streams: Sequence[tuple[str, Sequence[int]]]) -> None:
+    """A video with a stream for each camera, whose pictures have the times of their moments; in AVI whole steps."""
+    format, codec, unit = {
+        ".avi": ("avi", "mjpeg", Fraction(1, 10)),
+        ".mkv": ("matroska", "mpeg4", Fraction(1, 1000)),
+    }.get(path.suffix, ("mp4", "mpeg4", Fraction(1, 1000)))
+    with av.open(str(path), "w", format=format) as file:
+        targets = []
+        for _ in streams:
+            stream = file.add_stream(codec, rate=10)
+            stream.width, stream.height = SIZE[1], SIZE[0]
+            stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
+            stream.codec_context.time_base = unit
+            stream.bit_rate, stream.codec_context.gop_size = 8_000_000, 4
+            targets.append(stream)
+        for moment in range(10):
+            for (camera, own), target in zip(streams, targets, strict=True):
+                if moment in own:
+                    image = av.VideoFrame.from_ndarray(picture(moment), format="rgb24")
+                    image.pts, image.time_base = round(seconds(camera, moment) / unit), unit
+                    file.mux(target.encode(image))
+        for target in targets:
+            file.mux(target.encode(None))
+
+
+def as_videos(folder: Path, moments: Moments) -> str:
+    folder.mkdir()
+    for camera, own in moments.items():
+        write_streams(folder / f"{camera}.mp4", [(camera, own)])
+    return f"{folder}/{{camera}}.mp4"
+
+
+def as_streams(folder: Path, moments: Moments) -> str:
+    folder.mkdir()
+    write_streams(folder / "all.insv", list(moments.items()))
+    return str(folder / "all.insv")
+
+
+def as_bag(folder: Path, moments: Moments, stamped: bool = True, received: bool = True) -> str:
+    """A bag; without stamps its own times tell, without its own the stamps do."""
+    messages = []
+    for camera, own in moments.items():
+        for moment in own:
+            time = 1_700_000_000 * 10**9 + round(seconds(camera, moment) * 1e9)
+            stamp, coarse = (time if stamped else 0), time // 10**9 * 10**9
+            messages.append(
+                (f"/{camera}/image_raw", stamp, time + 3_000_000 if received else coarse, picture(moment))
+            )
+    return str(write_bag(folder, sorted(messages, key=lambda message: message[2])))
+
+
+SOURCES: dict[str, Writer] = {
+    "files called by time": as_files,
+    "files called by number": as_counted_files,
+    "videos": as_videos,
+    "streams": as_streams,
+    "a bag": as_bag,
+    "a bag without stamps": lambda folder, moments: as_bag(folder, moments, stamped=False),
+    "a bag of coarse times": lambda folder, moments: as_bag(folder, moments, received=False),
+}
+
+
+def opened(images: str, rig: CameraRig = RIG, **keys: object) -> tuple[Source, list[str]]:
+    """A source, and what was said when it was opened."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        source = open_source(images, rig, **keys)  # type: ignore[arg-type]
+    return source, [str(warning.message) for warning in caught]
+
+
+@pytest.mark.parametrize("lost", LOST)
+@pytest.mark.parametrize("write", SOURCES.values(), ids=SOURCES)
+def test_a_frame_is_one_moment_whatever_was_lost(tmp_path: Path, write: Writer, lost: str) -> None:
+    """And what is left out is counted, camera by camera; nothing is said where nothing is."""
+    moments = LOST[lost]
+    source, told = opened(write(tmp_path / "capture", moments))
+    common = sorted(set.intersection(*map(set, moments.values())))
+    frames = list(source.frames(Selection(), lambda _: True))
+    assert [moments_of(frame) for frame in frames] == [{moment} for moment in common]
+    assert source.names(Selection()) == [frame.name for frame in frames]
+    counts = {camera: len(own) - len(common) for camera, own in moments.items()}
+    sentence = " ".join(source.notes)
+    for camera, count in counts.items():
+        assert (f"{count} of {len(moments[camera])} of {camera} " in sentence) == (count > 0)
+    assert set(source.notes) <= set(told)
+    assert sum("left out" in note for note in source.notes) == (lost != "nothing")
+    assert [moments_of(frame) for frame in source.samples()] == [
+        {common[position]} for position in (0, len(common) // 2, -1)
+    ]
+    times = source.times()
+    if times is not None:
+        np.testing.assert_allclose(times, STEP * np.subtract(common, common[0]), atol=1e-3)
+
+
+@pytest.mark.parametrize("write", SOURCES.values(), ids=SOURCES)
+def test_selected_and_wanted_frames_are_those_of_all(tmp_path: Path, write: Writer) -> None:
+    source, _ = opened(write(tmp_path / "capture", EVERYTHING), cameras=["cam3", "cam1"])
+    names = source.names(Selection(1, 9, 3))
+    assert names is not None
+    assert len(names) == 3
+    frames = list(source.frames(Selection(1, 9, 3), lambda name: name != names[1]))
+    assert [(frame.name, moments_of(frame)) for frame in frames] == [(names[0], {1}), (names[2], {7})]
+    assert list(frames[0].images or {}) == ["cam3", "cam1"]
+    assert source.sizes() == dict.fromkeys(["cam3", "cam1"], SIZE)
+    with pytest.raises(ArgumentError, match="start=12"):
+        source.names(Selection(12))
+
+
+@pytest.mark.parametrize("write", [as_files, as_videos, as_streams, as_bag])
+def test_what_keeps_images_apart_is_told(tmp_path: Path, write: Writer) -> None:
+    """Cameras are 2 and 4 ms apart."""
+    images = write(tmp_path / "capture", EVERYTHING)
+    with pytest.raises(
+        MissingFileError, match=r"cam1: 10, .* are 0\.002 to 0\.004 s away; tolerance is 0\.001"
+    ):
+        open_source(images, RIG, tolerance=0.001)
+    source, _ = opened(images)
+    assert re.search(r"^paired by .*, 4 ms apart at most$", source.pairing)
+
+
+def times(*values: float | None) -> dict[str, float | None]:
+    return {str(number): value for number, value in enumerate(values)}
+
+
+CLOCKS: dict[str, tuple[dict[str, float | None], int | None]] = {
+    "whole": (times(5.0, 6.0, 7.0, 8.0), 0),
+    "all zero": (times(0.0, 0.0, 0.0, 0.0), 1),
+    "equal by halves": (times(5.0, 5.0, 7.0, 7.0), 1),
+    "half missing": (times(5.0, None, 7.0, None), 1),
+    "none": (times(None, None, None, None), 1),
+    "of another epoch": (times(1e9, 1e9 + 1, 1e9 + 2, 1e9 + 3), 1),
+}
+
+
+@pytest.mark.parametrize(("second", "expected"), CLOCKS.values(), ids=CLOCKS)
+def test_the_first_clock_that_tells_counts_and_it_is_said_which(
+    second: dict[str, float | None], expected: int | None
+) -> None:
+    images = {camera: {str(number): number for number in range(4)} for camera in ("left", "right")}
+    good = Clock("good", dict.fromkeys(images, times(1.0, 2.0, 3.0, 4.0)))
+    moments = pair_moments(
+        images, [Clock("doubtful", {"left": times(5.0, 6.0, 7.0, 8.0), "right": second}), good]
+    )
+    assert moments.clock == expected
+    assert [frame["left"] == frame["right"] for frame in moments.frames.values()] == [True] * 4
+    assert [("doubtful" in warning, "good count" in warning) for warning in moments.warnings] == (
+        [(True, True)] if expected else []
+    )
+    alone = pair_moments(
+        images, [Clock("doubtful", {"left": second, "right": second})], names="their numbers"
+    )
+    assert (alone.clock is None) == (expected == 1 and second != CLOCKS["of another epoch"][0])
+    assert len(alone.frames) == 4
+
+
+def test_a_lost_stamp_loses_its_image_alone() -> None:
+    images = {camera: {str(number): number for number in range(20)} for camera in ("left", "right")}
+    whole = times(*map(float, range(20)))
+    for fault in (None, 3.0):
+        clock = Clock("stamps", {"left": whole, "right": whole | {"7": fault}})
+        moments = pair_moments(images, [clock])
+        assert sorted(map(int, moments.frames)) == [n for n in range(20) if n != 7]
+        assert "1 of 20 of left (7 first), 1 of 20 of right (7 first)" in moments.warnings[0]
+
+
+def test_no_image_is_in_two_moments_however_wide_the_tolerance() -> None:
+    images = {"left": {"0": 0, "1": 1}, "right": {"0": 0}}
+    moments = pair_moments(
+        images, [Clock("names", {"left": times(0.0, 0.1), "right": times(0.09)})], tolerance=1.0
+    )
+    assert moments.frames == {"1": {"left": 1, "right": 0}}
+
+
+DAMAGED: dict[str, Callable[[Path], str]] = {}
+
+
+def damaged(write: Callable[[Path], str]) -> Callable[[Path], str]:
+    DAMAGED[write.__name__.removeprefix("_")] = write
+    return write
+
+
+@damaged
+def _files(folder: Path) -> str:
+    images = as_counted_files(folder, EVERYTHING)
+    (folder / "cam2/4.png").write_bytes(b"no picture")
+    return images
+
+
+@damaged
+def _video(folder: Path) -> str:
+    images = as_videos(folder, EVERYTHING)
+    write_streams(folder / "cam2.avi", [("cam2", range(10))])
+    content = bytearray((folder / "cam2.avi").read_bytes())
+    start = [match.start() for match in re.finditer(b"00dc", content)][5] + 8  # after one in the header
+    size = int.from_bytes(content[start - 4 : start], "little")
+    content[start : start + size] = bytes(size)
+    (folder / "cam2.mp4").write_bytes(content)
+    return images
+
+
+@damaged
+def _bag(folder: Path) -> str:
+    messages = []
+    for camera in RIG.names:
+        for moment in range(10):
+            time = 1_700_000_000 * 10**9 + moment * 10**8
+            image = picture(moment)[:3] if (camera, moment) == ("cam2", 4) else picture(moment)
+            messages.append((f"/{camera}/image_raw", time, time, image))
+    return str(write_bag(folder, messages, size=SIZE))
+
+
+@pytest.mark.parametrize("write", DAMAGED.values(), ids=DAMAGED)
+def test_a_damaged_image_is_one_frame_that_says_why(tmp_path: Path, write: Callable[[Path], str]) -> None:
+    source, _ = opened(write(tmp_path / "capture"))
+    frames = list(source.frames(Selection(), lambda _: True))
+    assert [frame.images is None for frame in frames] == [number == 4 for number in range(10)]
+    assert isinstance(frames[4].error, FileFormatError)
+    assert "damaged" in str(frames[4].error)
+
+
+CANDIDATES = {  # what lies in a folder, and what of it is meant; None where that cannot be told
+    "previews": (["{camera}.MP4", "{camera}.LRV"], ".MP4"),
+    "previews alone": (["{camera}.LRV"], ".LRV"),
+    "previews of another name": (["VID_1.insv", "LRV_1.insv"], "VID_1"),
+    "thumbnails": (["{camera}/1.png", "{camera}/1.jpg"], None),
+    "two videos": (["a.mp4", "b.mp4"], None),
+    "a video and pictures of it": (["{camera}.mp4", "{camera}/1.png"], None),
+    "Insta360's pictures": (["IMG_1.insp", "IMG_2.insp"], ".insp"),
+}
+
+
+@pytest.mark.parametrize(("names", "expected"), CANDIDATES.values(), ids=CANDIDATES)
+def test_of_two_candidates_none_is_taken_by_the_alphabet(
+    tmp_path: Path, names: list[str], expected: str | None
+) -> None:
+    for name in names:
+        for camera in RIG.names if "{camera}" in name else [""]:
+            path = tmp_path / name.format(camera=camera)
+            path.parent.mkdir(exist_ok=True)
+            joined = np.concatenate([picture(1)] * (1 if camera else 3), 1)
+            if path.suffix in (".png", ".jpg", ".insp"):
+                path.write_bytes(
+                    cv2.imencode(".png" if path.suffix == ".png" else ".jpg", joined)[1].tobytes()
+                )
+            elif camera:
+                write_streams(path, [(camera, [1])])
+            else:
+                write_streams(path, [(camera, [1]) for camera in RIG.names])
+    if expected is None:
+        with pytest.raises(ArgumentError, match="several kinds") as refused:
+            open_source(str(tmp_path), RIG)
+        assert all(Path(name).suffix in str(refused.value) for name in names)
+        return
+    source, told = opened(str(tmp_path))
+    assert moments_of(next(source.frames(Selection(), lambda _: True))) == {1}
+    assert [("previews" in sentence) for sentence in told] == [True] * (
+        len(names) == 2 and ".insp" not in expected
+    )
+    if streams := getattr(source, "streams", {}):
+        assert all(expected in stream.file.name for stream in streams.values())
+
+
+def test_masks_lie_side_by_side_as_their_images(tmp_path: Path) -> None:
+    masks = {
+        name: torch.rand(SIZE, generator=torch.Generator().manual_seed(k)) > 0.5
+        for k, name in enumerate("abc")
+    }
+    write_image(tmp_path / "mask.png", torch.cat(list(masks.values()), -1)[None].float())
+    rig = CameraRig(dict(zip("abc", RIG.cameras.values(), strict=True)), RIG.world_from_camera)
+    for cameras in (None, ["c", "a"]):
+        masked, files = rig_with_masks(rig, str(tmp_path / "mask.png"), cameras)
+        assert files == [tmp_path / "mask.png"]
+        assert sorted(masked.masks) == sorted(cameras or rig.names)
+        assert all((mask == masks[name]).all() for name, mask in masked.masks.items())
+    with pytest.raises(FileFormatError, match=r"mask\.png: expected masks of 96 x 64 pixels"):
+        rig_with_masks(rig.resized(dict.fromkeys(rig.names, (64, 96))), str(tmp_path / "mask.png"))
+
+
+def test_a_video_cut_short_is_told(tmp_path: Path) -> None:
+    """By frames that are missing where the header counts them, else by a warning; other lengths of headers are fine."""
+    write_streams(tmp_path / "whole.avi", [("cam1", range(10))])
+    write_streams(tmp_path / "whole.mkv", [("cam1", range(10))])
+    one = RIG.subset(["cam1"])
+    for name in ("whole.avi", "whole.mkv"):
+        content = (tmp_path / name).read_bytes()
+        cut = tmp_path / name.replace("whole", "cut")
+        cut.write_bytes(content[: len(content) * 6 // 10])
+        frames = list(opened(str(tmp_path / name), one)[0].frames(Selection(), lambda _: True))
+        assert [frame.images is not None for frame in frames] == [True] * 10
+        source, told = opened(str(cut), one)
+        frames = list(source.frames(Selection(), lambda _: True))
+        if name.endswith(".mkv"):
+            assert "copy it again" in " ".join(told)
+            assert 0 < len(frames) < 10
+        else:
+            assert len(frames) == 10
+            assert frames[0].images is not None
+            assert "of the 10 frames that its header promises" in str(frames[-1].error)

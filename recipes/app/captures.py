@@ -45,6 +45,7 @@ from sphericalvision.sphere.intake import as_photographs
 
 __all__ = [
     "AUTO",
+    "FLOOR",
     "Capture",
     "CaptureFields",
     "PosedCapture",
@@ -60,6 +61,8 @@ AUTO = "auto"
 """In place of a pattern of masks: those of the rig's own body, found in the frames."""
 FIELD = re.compile(r"\{(camera|frame)[^{}]*\}")
 """Of a pattern; other braces are part of a name."""
+FLOOR = "floor"
+"""In place of an axis that points up: what the depth of the frames shows below."""
 PANORAMA = "equirectangular"
 """In place of a calibration file: images are whole panoramas of any size."""
 
@@ -179,29 +182,34 @@ class PosedCapture(Capture):
         poses: file of a trajectory.
         window: images of each camera in a window.
         spacing: metres that camera or rig goes between images of a window; None takes every image.
-        up: what points up in the world of the calibration, or of the poses; None is ``"-y"``, with ``frame`` ``"z"``.
+        up: what points up in the world of the calibration, or of the poses; None is ``"-y"``, with ``frame`` ``"z"``;
+            ``FLOOR``: a rig that leans is leveled by the floor in the depth of some frames.
         frame: file with a robot's frame from the calibration's, whose axes are ROS's: x forward, y left, z up.
     """
 
     poses: Text | None = None
     window: Annotated[int, Ge(2), OnlyWith("poses")] = 3
     spacing: Annotated[Positive | None, OnlyWith("poses")] = None
-    up: Literal["-y", "y", "z", "camera"] | None = None
+    up: Literal["-y", "y", "z", "camera", "floor"] | None = None
     frame: Text | None = None
 
     @property
     def upwards(self) -> str:
-        """What points up, ``up`` or what goes without saying.
+        """What points up before a floor levels the rig, ``up`` or what goes without saying.
 
         Raises:
-            ArgumentError: a robot's frame has another up.
+            ArgumentError: a robot's frame has another up, or a floor is to level what moves.
         """
+        if self.up == FLOOR and (self.poses or self.frame):
+            raise ArgumentError(
+                "up: floor is for a rig without poses= and frame=, which say what points up; leave it out"
+            )
         expected = ("z", "y", "-y") if self.poses else ("z",)
         if self.frame and self.up not in (None, *expected):
             raise ArgumentError(
                 f"up: with frame, whose z points up, expected {' or '.join(expected)}, got {self.up}; leave it out"
             )
-        return self.up or ("z" if self.frame else "-y")
+        return "-y" if self.up == FLOOR else self.up or ("z" if self.frame else "-y")
 
     def placement(self, rig: CameraRig) -> Tensor:
         """``(4, 4)``, from the frame of the calibration to that in which its rig is used: upright, or the poses'."""

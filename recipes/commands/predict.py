@@ -25,6 +25,7 @@ from sphericalvision.cameras.robot_frame import placed, tilt_of
 from sphericalvision.capture import Predictor, align_rig
 from sphericalvision.capture.estimating import Behind, Estimate, estimate_frames
 from sphericalvision.capture.folder_record import RECORD, checksum
+from sphericalvision.capture.leveling import leveling_turn
 from sphericalvision.capture.outputs import Outputs, Settings
 from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.capture.sources.frames import Selection, Source
@@ -33,7 +34,7 @@ from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.io.yaml_files import read_yaml
 from sphericalvision.models.weights.files import identity_of
 from sphericalvision.models.weights.pretrained import DEFAULT
-from sphericalvision.recipes.app.captures import AUTO, PosedCapture, cut_to_visible, masked_by_itself
+from sphericalvision.recipes.app.captures import AUTO, FLOOR, PosedCapture, cut_to_visible, masked_by_itself
 from sphericalvision.recipes.app.checks import flat
 from sphericalvision.recipes.app.cli import choose_device, console, print_config, say
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, OnlyWith, Positive, Share, Text
@@ -255,6 +256,13 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
         if not isinstance(config.min_depth, str):
             predictor = predictor.with_changes(min_depth=config.min_depth)
     _check_settings(config, before, folder)
+    if config.capture.up == FLOOR:
+        depths = (predictor(frame.images) for frame in source.samples() if frame.images is not None)
+        turn, sentence = leveling_turn(depths)
+        say(f"up=floor: {sentence}")
+        placement = turn.to(placement) @ placement
+        source.rig = placed(source.rig, turn)
+        predictor = predictor.with_changes(source.rig)
     hints = hints_of(config, source, predictor, placement)
     if still is source:
         predictor = aligned(predictor, source, folder, bool(before), placement)

@@ -90,7 +90,7 @@ def test_a_world_whose_z_is_up_and_a_robots_frame(
     base_from_rig[:3, :3] = OPTICAL_FROM_ROS[:3, :3].T
     base_from_rig[:3, 3] = torch.tensor([0.3, 0.0, 1.2])
     base_from_lying = base_from_rig @ upright_turn("z", rig.world_from_camera)
-    np.savetxt(tmp_path / "base.txt", base_from_lying[:3].reshape(1, 12))
+    np.savetxt(tmp_path / "base.txt", base_from_lying, delimiter=",")
     outputs = {
         "clean": ("calibration=c/rig.yaml",),
         "sideways": ("calibration=c/z_up.yaml",),

@@ -94,7 +94,7 @@ def test_poses_of_a_robots_frame_are_those_of_its_rig(run: Run, drive: Path, tmp
     optical_from_world = upright_turn("z", torch.eye(4)[None]).double()
     base_from_rig = torch.linalg.inv(OPTICAL_FROM_ROS).double()
     base_from_rig[:3, 3] = torch.tensor([0.3, 0.0, 1.2])
-    np.savetxt(tmp_path / "base.txt", base_from_rig[:3].reshape(1, 12))
+    np.savetxt(tmp_path / "base.txt", base_from_rig[:3])
     rigs = torch.linalg.inv(optical_from_world) @ trajectory.world_from_camera.double()
     lines = []
     for name, pose in zip(trajectory.names, rigs @ torch.linalg.inv(base_from_rig), strict=True):

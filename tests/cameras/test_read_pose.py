@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One pose in a file, as programs write it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sphericalvision.cameras.robot_frame import read_pose
+from sphericalvision.core import ArgumentError, FileFormatError
+
+TURN = Rotation.from_euler("xyz", [0.1, 0.2, 0.3])
+POSE = np.eye(4)
+POSE[:3, :3], POSE[:3, 3] = TURN.as_matrix(), [0.3, 0.4, 1.2]
+TUM = np.concatenate(([12.5], POSE[:3, 3], TURN.as_quat()))[None]
+
+WRITERS: dict[str, Callable[[Path], None]] = {
+    "four rows": lambda path: np.savetxt(path, POSE),
+    "three rows": lambda path: np.savetxt(path, POSE[:3]),
+    "commas": lambda path: np.savetxt(path, POSE, delimiter=","),
+    "commas and a header": lambda path: np.savetxt(path, POSE[:3], delimiter=", ", header="base, from rig"),
+    "one line": lambda path: np.savetxt(path, POSE[:3].reshape(1, 12)),
+    "TUM's": lambda path: np.savetxt(path, TUM),
+}
+
+
+@pytest.mark.parametrize("write", WRITERS.values(), ids=WRITERS)
+def test_a_pose_is_the_same_however_it_is_written(tmp_path: Path, write: Callable[[Path], None]) -> None:
+    write(tmp_path / "base.txt")
+    np.testing.assert_allclose(read_pose(tmp_path / "base.txt", "frame"), POSE, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("content", "error"),
+    [
+        (np.tile(TUM, (2, 1)), ArgumentError),
+        (np.tile(POSE, (2, 1)), ArgumentError),
+        (POSE[:2], ArgumentError),
+        (2 * POSE, FileFormatError),
+        (POSE * [[1], [1], [-1], [1]], FileFormatError),
+    ],
+    ids=["two of TUM's", "two matrices", "two rows", "millimetres", "a mirror"],
+)
+def test_what_is_no_single_pose_is_refused(
+    tmp_path: Path, content: np.ndarray, error: type[Exception]
+) -> None:
+    np.savetxt(tmp_path / "base.txt", content)
+    with pytest.raises(error, match=r"base\.txt"):
+        read_pose(tmp_path / "base.txt", "frame")

@@ -46,6 +46,8 @@ CHANNELS = {
     "8UC4": 4,
 }
 """Of raw pictures, by encoding; 8UC3 and 8UC4 are OpenCV's, whose first channel is blue."""
+DEPTH = re.compile("(16|32|64)|.*compressedDepth")
+"""Encoding or format of images whose values are no brightness."""
 MOSAIC = re.compile(r"bayer_([rgb]{4})8")
 """Encoding of what a sensor with a mosaic of colours saw."""
 Picture = npt.NDArray[Any]
@@ -137,8 +139,8 @@ class Bag(Recording):
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
 
-        reader = AnyReader([self.path], default_typestore=get_typestore(Stores.LATEST))
         with self._own_words():
+            reader = AnyReader([self.path], default_typestore=get_typestore(Stores.LATEST))
             reader.open()
         try:
             yield reader
@@ -164,19 +166,25 @@ class Bag(Recording):
         for connection in reader.connections:
             if connection.msgtype in (IMAGE, COMPRESSED):
                 topics.setdefault(connection.topic, []).append(connection)
-        return [topic for topic, own in topics.items() if self._is_pictured(reader, own)]
+        pictured = []
+        for topic, connections in topics.items():
+            with self._own_words():
+                messages = (message for _, _, message in self._messages(reader, connections))
+                first = next((message for message in messages if message is not None), None)
+            if first is not None and not DEPTH.match(
+                getattr(first, "encoding", getattr(first, "format", ""))
+            ):
+                pictured.append(topic)
+        return pictured
 
-    def _is_pictured(self, reader: Any, connections: Sequence[Any]) -> bool:
-        with self._own_words():
-            for connection, _, data in reader.messages(connections=connections):
-                try:
-                    message = reader.deserialize(data, connection.msgtype)
-                except Exception:  # whatever a damaged message makes rosbags raise; the next one may be whole
-                    continue
-                return "compressedDepth" not in getattr(message, "format", "") and not re.match(
-                    "(16|32|64)", getattr(message, "encoding", "")
-                )
-        return False
+    @staticmethod
+    def _messages(reader: Any, connections: Sequence[Any]) -> Iterator[tuple[str, int, Any]]:
+        """Topic, time and content of messages; None of a damaged one, for which rosbags raises errors of many types."""
+        for connection, time, data in reader.messages(connections=connections):
+            try:
+                yield connection.topic, time, reader.deserialize(data, connection.msgtype)
+            except Exception:
+                yield connection.topic, time, None
 
     def _index(
         self, reader: Any, names: Sequence[str], damaged: Counter[str]
@@ -188,18 +196,16 @@ class Bag(Recording):
         before: Counter[tuple[str, int]] = Counter()
         with self._own_words():
             used = [connection for connection in reader.connections if connection.topic in cameras]
-            for connection, time, data in reader.messages(connections=used):
-                name = cameras[connection.topic]
+            for topic, time, content in self._messages(reader, used):
+                name = cameras[topic]
                 message = Message(time, before[name, time])
                 before[name, time] += 1
-                try:
-                    stamp = reader.deserialize(data, connection.msgtype).header.stamp
-                except Exception:  # as above
+                if content is None:
                     damaged[name] += 1
                     continue
                 number = f"{len(messages[name]):06d}"
                 messages[name][number] = message
-                stamps[name][number] = 10**9 * stamp.sec + stamp.nanosec
+                stamps[name][number] = 10**9 * content.header.stamp.sec + content.header.stamp.nanosec
         return stamps, messages
 
     def sizes(self) -> dict[str, tuple[int, int]]:

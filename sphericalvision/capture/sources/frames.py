@@ -69,7 +69,7 @@ class Selection(NamedTuple):
         if not positions:
             stop = "" if self.stop is None else f", stop={self.stop}"
             raise ArgumentError(
-                f"start={self.start}{stop}: the capture has {count} frame(s), 0 to {count - 1}; select some of them"
+                f"start={self.start}{stop}: the capture has {count} frame(s), 0 to {count - 1}"
             )
         return positions
 

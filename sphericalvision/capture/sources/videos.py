@@ -48,10 +48,9 @@ class VideoStream(NamedTuple):
         size: (height, width) of its pictures.
         rate: pictures a second, 0 where the file does not say it.
         stamps: of the pictures in the order in which they are shown, in the unit of the stream.
-        times: the same in seconds; None where the file has no stamps.
+        times: the same in seconds, None where the file has no stamps; also of what a header promises after the end.
         key_frames: positions of the pictures that can be decoded without others.
         damaged: positions of the pictures that the file cuts short.
-        promised: how many pictures the header says there are, at least as many as there are.
     """
 
     file: Path
@@ -63,10 +62,17 @@ class VideoStream(NamedTuple):
     times: list[float | None]
     key_frames: list[int]
     damaged: set[int]
-    promised: int
 
     def __str__(self) -> str:
         return f"stream {self.number} of {self.file}" if self.of > 1 else str(self.file)
+
+
+class _Packet(NamedTuple):
+    """A stored picture: its time in the unit of the stream, and whether it stands alone, or is cut short."""
+
+    stamp: int | None
+    is_key: bool
+    is_cut: bool
 
 
 def read_streams(file: str | Path) -> list[VideoStream]:
@@ -79,67 +85,70 @@ def read_streams(file: str | Path) -> list[VideoStream]:
     path = Path(file)
     with _open(path) as container:
         streams = _streams(container)
-        packets: dict[int, list[tuple[int | None, bool, bool]]] = {stream.index: [] for stream in streams}
+        packets: dict[int, list[_Packet]] = {stream.index: [] for stream in streams}
         for packet in _packets(container, streams):
             if packet.size and not packet.is_discard:
                 stamp = packet.dts if packet.pts is None else packet.pts
-                packets[packet.stream.index].append((stamp, packet.is_keyframe, packet.is_corrupt))
-        described = [
-            _described(path, number, stream, packets[stream.index], container)
+                packets[packet.stream.index].append(_Packet(stamp, packet.is_keyframe, packet.is_corrupt))
+        if not any(packets.values()):
+            raise FileFormatError(f"{path}: expected a video, but PyAV finds no picture in it; copy it again")
+        return [
+            _described(path, container, streams, number, packets[stream.index])
             for number, stream in enumerate(streams)
         ]
-    if not any(stream.stamps for stream in described):
-        raise FileFormatError(f"{path}: expected a video, but PyAV finds no picture in it; copy it again")
-    return [stream._replace(of=len(described)) for stream in described]
 
 
 def _described(
-    path: Path, number: int, stream: Any, packets: Sequence[tuple[int | None, bool, bool]], container: Any
+    path: Path, container: Any, streams: Sequence[Any], number: int, packets: list[_Packet]
 ) -> VideoStream:
-    has_stamps = all(stamp is not None for stamp, _, _ in packets)
-    if has_stamps:  # pictures are stored in the order in which they are decoded, which may be another
-        packets = sorted(packets, key=lambda packet: packet[0] or 0)
+    stream = streams[number]
     rate, unit = float(stream.average_rate or 0), float(stream.time_base)
-    times = [stamp * unit if has_stamps and stamp is not None else None for stamp, _, _ in packets]
-    # Headers also count the pictures that a cut in an editor leaves out; then the duration is that of the others.
-    promised, end = len(packets), (times[-1] or 0.0) if times else 0.0
-    is_short = bool(stream.duration) and end - (times[0] or 0.0) < stream.duration * unit - 2.5 / (
-        rate or 1.0
-    )
-    if stream.frames and (is_short or (packets and packets[-1][2])):
-        promised = max(stream.frames, promised)
-    elif not stream.frames and container.duration:
-        _warn_if_cut(path, container, end + 1 / (rate or 1.0), rate)
-    # What is missing behind the end has times, too, so that it is missing in the moments where it would be.
-    if times and times[-1] is not None and rate:
-        times += [times[-1] + step / rate for step in range(1, promised - len(packets) + 1)]
+    times: list[float | None] = [None] * len(packets)
+    if all(packet.stamp is not None for packet in packets):
+        packets = sorted(
+            packets
+        )  # a file has them in the order in which they are decoded, which may be another
+        times = [packet.stamp * unit for packet in packets if packet.stamp is not None]
+    missing = _missing(path, container, stream, times, bool(packets and packets[-1].is_cut))
+    for _ in range(missing):  # what is missing has times, too, to be missing in the moments where it would be
+        last = times[-1] if times else None
+        times.append(None if last is None or not rate else last + 1 / rate)
     return VideoStream(
         path,
         number,
-        1,
+        len(streams),
         (stream.codec_context.height, stream.codec_context.width),
         rate,
-        [position if stamp is None else stamp for position, (stamp, _, _) in enumerate(packets)],
-        times + [None] * (promised - len(times)),
-        [position for position, (_, is_key, _) in enumerate(packets) if is_key],
-        {position for position, (_, _, is_corrupt) in enumerate(packets) if is_corrupt},
-        promised,
+        [position if packet.stamp is None else packet.stamp for position, packet in enumerate(packets)],
+        times,
+        [position for position, packet in enumerate(packets) if packet.is_key],
+        {position for position, packet in enumerate(packets) if packet.is_cut},
     )
 
 
-def _warn_if_cut(path: Path, container: Any, end: float, rate: float) -> None:
-    """Warn of a file that ends before its header says, in a container whose header does not count pictures."""
+def _missing(path: Path, container: Any, stream: Any, times: Sequence[float | None], is_cut: bool) -> int:
+    """How many pictures a header counts behind the end; a warning where it tells that some are, and not how many.
+
+    Headers count what a cut in an editor leaves out, too: their number counts only where the duration says the same.
+    """
     import av
 
-    duration = container.duration / av.time_base
-    start = (container.start_time or 0) / av.time_base
-    slack = 1.0 if len(container.streams) > 1 else 2 / (rate or 1.0)  # sound may be longer than pictures
-    if end - start < duration - slack:
+    step = float(1 / (stream.average_rate or 1))
+    length, slack = float((stream.duration or 0) * stream.time_base), 2 * step
+    if not length:
+        length = (container.duration or 0) / av.time_base
+        slack = 1.0 if len(container.streams) > 1 else slack  # sound may be longer than pictures
+    first, last = (times[0], times[-1]) if times else (None, None)
+    covered = 0.0 if first is None or last is None else last - first + step
+    if not is_cut and covered >= length - slack:
+        return 0
+    if not stream.frames:
         warnings.warn(
-            f"{path}: pictures end after {end - start:.3g} s of the {duration:.3g} s that its header promises; if it "
-            "was cut, copy it again",
+            f"{path}: pictures end after {covered:.3g} s of the {length:.3g} s that its header promises; if it was "
+            "cut, copy it again",
             stacklevel=6,
         )
+    return max(stream.frames - len(times), 0)
 
 
 @contextmanager
@@ -210,8 +219,8 @@ class _Decoder:
         stream = self.stream
         if position >= len(stream.stamps):
             raise FileFormatError(
-                f"{stream}: ends after {len(stream.stamps)} of the {stream.promised} frames that its header promises; "
-                f"copy it again, or predict what is there with stop={len(stream.stamps)}"
+                f"{stream}: ends after {len(stream.stamps)} of the {len(stream.times)} frames that its header "
+                f"promises; copy it again, or predict what is there with stop={len(stream.stamps)}"
             )
         before = bisect_right(stream.key_frames, position) - 1
         key_frame = stream.key_frames[before] if before >= 0 else 0
@@ -280,7 +289,7 @@ class Videos(Recording):
         whole = rig if whole is None else whole
         self.streams = _streams_of_cameras(files, rig, whole)
         positions = {
-            name: {f"{position:06d}": position for position in range(stream.promised)}
+            name: {f"{position:06d}": position for position in range(len(stream.times))}
             for name, stream in self.streams.items()
         }
         moments = pair_moments(positions, self._clocks(positions), tolerance, names="their numbers")

@@ -146,7 +146,7 @@ def test_hints_of_other_frames_or_kinds_are_refused(failing: Callable[..., str],
         return failing("predict", *words(capture, "out", frames), *given)
 
     assert "give poses=, or leave hint out" in message("hint=last")
-    assert "frame 1 of camera" in message(f"hint={capture}/{{frame}}.ply", frames="[1]")
+    assert "/1.ply: no such file" in message(f"hint={capture}/{{frame}}.ply", frames="[1]")
     assert "SemiGlobalSweep takes none" in message(f"hint={capture}/{{frame}}.ply", "method=semi_global")
     assert "twice as wide as high" in message(f"hint={capture}/mm/cam1/{{frame}}.png")
     assert "hint_fit: affine is for images" in message(f"hint={capture}/{{frame}}.ply", "hint_fit=affine")

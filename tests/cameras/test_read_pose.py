@@ -35,19 +35,11 @@ def test_a_pose_is_the_same_however_it_is_written(tmp_path: Path, write: Callabl
 
 
 @pytest.mark.parametrize(
-    ("content", "error"),
-    [
-        (np.tile(TUM, (2, 1)), ArgumentError),
-        (np.tile(POSE, (2, 1)), ArgumentError),
-        (POSE[:2], ArgumentError),
-        (2 * POSE, FileFormatError),
-        (POSE * [[1], [1], [-1], [1]], FileFormatError),
-    ],
+    "content",
+    [np.tile(TUM, (2, 1)), np.tile(POSE, (2, 1)), POSE[:2], 2 * POSE, POSE * [[1], [1], [-1], [1]]],
     ids=["two of TUM's", "two matrices", "two rows", "millimetres", "a mirror"],
 )
-def test_what_is_no_single_pose_is_refused(
-    tmp_path: Path, content: np.ndarray, error: type[Exception]
-) -> None:
+def test_what_is_no_single_pose_is_refused(tmp_path: Path, content: np.ndarray) -> None:
     np.savetxt(tmp_path / "base.txt", content)
-    with pytest.raises(error, match=r"base\.txt"):
+    with pytest.raises((ArgumentError, FileFormatError), match=r"base\.txt"):
         read_pose(tmp_path / "base.txt", "frame")

@@ -30,7 +30,7 @@ from mkdocs.utils import get_relative_url
 QUALITY = 90
 """Of pictures in pages, as WebP files."""
 
-SYNONYM_BOOST = 2000.0
+SYNONYM_BOOST = 1000.0
 """Weight of other words for a section in the search; a title has 1000."""
 GENERATED = ("api/", "recipes/configuration")
 """Pages whose code is in no search."""
@@ -143,10 +143,9 @@ def on_page_content(content: str, page: Any, **_: object) -> str:
             f"{page.file.src_uri}: a block of the page raised, and its traceback is in the page"
         )
     content = re.sub(BRACKETS, r"\1<small>\2</small></td>", content)
-    for heading, words in re.findall(ASKED, content):
-        SYNONYMS[f"{page.url}#{heading}" if heading != "top" else page.url] = (
-            words.split(", ")
-        )
+    for level, heading, words in re.findall(ASKED, content):
+        section = page.url if level == "1" else f"{page.url}#{heading}"
+        SYNONYMS[section] = words.split(", ")
     return content.replace(
         '<details class="mkdocstrings-source"',
         '<details data-search-exclude class="mkdocstrings-source"',

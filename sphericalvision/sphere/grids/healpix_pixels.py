@@ -41,10 +41,18 @@ NEIGHBOR_STEPS = ((-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-
 """Steps in (x, y) from a pixel to those around it: in the south-west, west, north-west, ..., and south."""
 
 
-# What lies beyond the edges of the base faces around the north pole, of the belt, and around the south pole. For steps
-# out of the face of (-1, -1), (0, -1), (1, -1), (-1, 0), ... in (x, y): the zone there (0, 1, 2; -1 where no face is),
-# how many faces further east, and by how many quarters its frame is turned. In the caps it is turned by one across the
-# meridians in which two faces meet, and by two across the pole.
+# The twelve base faces, unrolled. In each, x points to the north-east and y to the north-west; east is to the right.
+#
+#        N0    N1    N2    N3           zone 0, faces 0 to 3: all four meet at the north pole
+#       /  \  /  \  /  \  /  \
+#     B0    B1    B2    B3    (B0)      zone 1, faces 4 to 7, around the equator
+#       \  /  \  /  \  /  \  /
+#        S0    S1    S2    S3           zone 2, faces 8 to 11: all four meet at the south pole
+#
+# For a face of each zone, what follows after a step out of it of (-1, -1), (0, -1), (1, -1), (-1, 0), ... in (x, y): the
+# zone there (-1 where no face is), how many faces further east, and by how many quarters its frame is turned. From N0,
+# (-1, -1) is south into S0, (0, -1) south-east into B1, and no face is due east, where N0, N1 and B1 meet. In the caps
+# the frame is turned by one across the meridians in which two faces meet (N0, N1), and by two across the pole (N0, N2).
 _NONE = (-1, 0, 0)
 _CROSSINGS = (
     ((2, 0, 0), (1, 1, 0), _NONE, (1, 0, 0), (0, 0, 0), (0, 1, 1), _NONE, (0, 3, 3), (0, 2, 2)),

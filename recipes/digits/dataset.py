@@ -15,6 +15,7 @@ from torch.utils.data import Dataset
 from sphericalvision.cameras import FisheyeCamera
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data import random_rotations
+from sphericalvision.data.augmentation.sphere_rotation import source_directions
 from sphericalvision.recipes.app.kinds import FullAngle
 from sphericalvision.recipes.training.orientations import OrientedDataModule
 from sphericalvision.sphere import SphereGrid
@@ -63,9 +64,7 @@ def draw_on_sphere(
         Cohen et al. (2018), "Spherical CNNs", section 5.2, who project stereographically, too.
     """
     lens = FisheyeCamera.from_field_of_view(image.shape[-2:], field_of_view, "stereographic")
-    directions = grid.directions.reshape(-1, 3)
-    if rotation is not None:
-        directions = directions @ rotation.to(directions)
+    directions = source_directions(grid, torch.eye(3) if rotation is None else rotation)
     values, seen = lens.sample(image, directions)
     return torch.where(seen, values, 0.0).unflatten(-1, grid.shape)
 

@@ -14,6 +14,7 @@ from torch.utils.data import Dataset
 
 from sphericalvision.core import check_choice
 from sphericalvision.data import random_rotations
+from sphericalvision.data.augmentation.sphere_rotation import source_directions
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.recipes.app.kinds import Count, Text
 from sphericalvision.recipes.training.orientations import OrientedDataModule
@@ -82,9 +83,7 @@ class LabelledRooms(Dataset[dict[str, Any]]):
     def _render(self, seed: int) -> dict[str, Tensor]:
         scene = make_scene("room", seed)
         rotation = orientation_rotation(self.orientation, seed)
-        directions = (
-            self.grid.directions.float() @ rotation
-        )  # rows R⁻¹ d: what is seen there is seen at d once turned
+        directions = source_directions(self.grid, rotation).float().view(*self.grid.shape, 3)
         colors = render_directions(scene, torch.zeros(3), directions)
         labels = ray_labels(scene, torch.zeros(3), directions)
         return {"values": encode(colors), "label": labels.to(torch.int8)}

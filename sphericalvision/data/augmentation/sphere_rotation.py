@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What lies on a sphere, rotated: images, depth, normals and labels, by any rotation or exactly by a turn of the grid.
+"""Rotation of images, depth, normals and labels on a grid: by any rotation, or exactly by a turn of the grid.
 
 Convention:
     Rotations turn the content: what stood in direction d then stands in ``rotation @ d``. A positive yaw turns forward
@@ -20,12 +20,19 @@ from sphericalvision.geometry import transform_from_quaternion
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Cubemap, Equirectangular, Healpix, SphereGrid
 
-__all__ = ["num_yaw_steps", "random_rotations", "rotate_on_sphere", "yaw_on_sphere", "yaw_rotation"]
+__all__ = [
+    "num_yaw_steps",
+    "random_rotations",
+    "rotate_on_sphere",
+    "source_directions",
+    "yaw_on_sphere",
+    "yaw_rotation",
+]
 
 CONTENTS = ("image", "depth", "normals", "labels", "seen")
 
-#: Of the weights with which an interpolated value is made, what must come from places that were seen.
-SEEN_SHARE = 0.999
+#: Of the weights of an interpolated value, the sum that must be of cells that were seen.
+SEEN_WEIGHT = 0.999
 
 
 def rotate_on_sphere(
@@ -34,7 +41,7 @@ def rotate_on_sphere(
     rotation: Float[Tensor, "*turns 3 3"],
     kind: str = "image",
 ) -> Shaped[Tensor, "*values"]:
-    """Rotate what lies on a grid.
+    """Rotate values on a grid.
 
     Args:
         values: ``(*, *grid.shape)``, with the three components in the dimension before the grid's for normals.
@@ -59,20 +66,38 @@ def rotate_on_sphere(
         >>> torch.allclose(rotate_on_sphere(height, grid, upside_down), -height, atol=1e-5)
         True
     """
-    flat = _flat(values, grid, rotation.shape, rotation.ndim - 2, kind)
     if rotation.shape[-2:] != (3, 3):
         raise ShapeError(f"rotation: expected shape (3, 3) or (B, 3, 3), got {tuple(rotation.shape)}")
-    directions = grid.directions.reshape(-1, 3)
-    looked_at = directions @ rotation.to(directions)  # its transpose, on rows
+    flat = _flat(values, grid, rotation.shape, rotation.ndim - 2, kind)
+    sources = source_directions(grid, rotation)
     if kind in ("depth", "labels"):
-        return _gathered(flat, grid.nearest(looked_at)).view(values.shape)
+        return _gather(flat, grid.nearest(sources)).view(values.shape)
     if kind == "seen":
-        share = grid.sample(flat.to(directions).unflatten(-1, grid.shape), looked_at)
-        return (share > SEEN_SHARE).view(values.shape)
-    sampled = grid.sample(flat.unflatten(-1, grid.shape), looked_at)
+        weight = grid.sample(flat.to(sources).unflatten(-1, grid.shape), sources)
+        return (weight > SEEN_WEIGHT).view(values.shape)
+    sampled = grid.sample(flat.unflatten(-1, grid.shape), sources)
     if kind == "image":
         return sampled.reshape(values.shape)
-    return F.normalize(_turned(sampled, rotation), dim=-2).view(values.shape)
+    return F.normalize(_rotate_vectors(sampled, rotation), dim=-2).view(values.shape)
+
+
+def source_directions(grid: SphereGrid, rotation: Float[Tensor, "*turns 3 3"]) -> Float[Tensor, "*turns n 3"]:
+    """Return the directions whose content is in each cell of a grid after a rotation.
+
+    What is drawn or rendered there needs no interpolation.
+
+    Args:
+        grid: of n cells.
+        rotation: ``(*, 3, 3)``, of the content.
+
+    Examples:
+        >>> quarter = yaw_rotation(torch.tensor(torch.pi / 2))  # forward towards right
+        >>> directions = source_directions(Equirectangular(1, 4), quarter)
+        >>> torch.allclose(directions, Equirectangular(1, 4).directions.view(4, 3).roll(1, 0), atol=1e-6)
+        True
+    """
+    directions = grid.directions.reshape(-1, 3)
+    return directions @ rotation.to(directions)  # the inverse rotation, on rows
 
 
 def yaw_on_sphere(
@@ -81,7 +106,7 @@ def yaw_on_sphere(
     steps: Int[Tensor, "*turns"] | int,
     kind: str = "image",
 ) -> Shaped[Tensor, "*values"]:
-    """Turn what lies on a grid about the vertical by steps that map the grid onto itself: nothing is interpolated.
+    """Rotate values on a grid about the vertical by steps that map the grid onto itself: nothing is interpolated.
 
     Args:
         values: ``(*, *grid.shape)``, with the three components in the dimension before the grid's for normals.
@@ -100,9 +125,9 @@ def yaw_on_sphere(
     """
     steps = torch.as_tensor(steps, device=values.device)
     flat = _flat(values, grid, steps.shape, steps.ndim, kind)
-    moved = _gathered(flat, _yaw_ids(grid, steps))
+    moved = _gather(flat, _yaw_ids(grid, steps))
     if kind == "normals":
-        moved = _turned(moved, yaw_rotation(yaw_angle(steps, num_yaw_steps(grid))))
+        moved = _rotate_vectors(moved, yaw_rotation(yaw_angle(steps, num_yaw_steps(grid))))
     return moved.view(values.shape)
 
 
@@ -172,17 +197,17 @@ def random_rotations(
     if not 0 < max_angle <= math.pi:
         raise ArgumentError(f"max_angle: expected more than 0, up to π radians, got {max_angle!r}")
     axis = F.normalize(torch.randn(count, 3, generator=generator, dtype=torch.float64), dim=-1)
-    share = torch.rand(count, generator=generator, dtype=torch.float64)
-    target = share * (max_angle - math.sin(max_angle))
-    low, high = torch.zeros_like(share), torch.full_like(share, max_angle)
+    fraction = torch.rand(count, generator=generator, dtype=torch.float64)
+    target = fraction * (max_angle - math.sin(max_angle))
+    low, high = torch.zeros_like(fraction), torch.full_like(fraction, max_angle)
     for _ in range(60):  # the angle whose distribution function is the share, by bisection
         angle = (low + high) / 2
         below = angle - angle.sin() < target
         low, high = torch.where(below, angle, low), torch.where(below, high, angle)
     half = high[:, None] / 2
     quaternion = torch.cat((half.cos(), half.sin() * axis), -1)
-    turns = transform_from_quaternion(quaternion, torch.zeros_like(axis))[:, :3, :3]
-    return turns.to(torch.get_default_dtype())
+    rotations = transform_from_quaternion(quaternion, torch.zeros_like(axis))[:, :3, :3]
+    return rotations.to(torch.get_default_dtype())
 
 
 def _flat(values: Tensor, grid: SphereGrid, batch: torch.Size, batched: int, kind: str) -> Tensor:
@@ -203,12 +228,12 @@ def _flat(values: Tensor, grid: SphereGrid, batch: torch.Size, batched: int, kin
     return values.reshape(*leading[:batched], -1, math.prod(shape))
 
 
-def _gathered(flat: Tensor, ids: Tensor) -> Tensor:
+def _gather(flat: Tensor, ids: Tensor) -> Tensor:
     """Return values ``(c, n)`` at ids ``(n,)``, or ``(B, c, n)`` at ``(B, n)``."""
     return flat.gather(-1, ids.unsqueeze(-2).expand_as(flat))  # of bytes in an eighth of index_select's time
 
 
-def _turned(flat: Tensor, rotation: Tensor) -> Tensor:
+def _rotate_vectors(flat: Tensor, rotation: Tensor) -> Tensor:
     """Return vectors, three of the ``c`` rows of ``(c, n)`` or ``(B, c, n)`` each, turned: ``(.., c / 3, 3, n)``."""
     vectors = flat.unflatten(-2, (-1, 3))
     rotation = rotation.to(vectors)
@@ -218,14 +243,14 @@ def _turned(flat: Tensor, rotation: Tensor) -> Tensor:
 def _yaw_ids(grid: SphereGrid, steps: Tensor) -> Tensor:
     """Return where in the flattened grid the value of each place comes from, ``(n,)`` or ``(B, n)``."""
     count, steps = num_yaw_steps(grid), steps[..., None]
-    place = torch.arange(math.prod(grid.shape), device=steps.device)
+    index = torch.arange(math.prod(grid.shape), device=steps.device)
     if isinstance(grid, Equirectangular):
-        return place - place % count + (place - steps) % count
+        return index - index % count + (index - steps) % count
     if isinstance(grid, Icosphere):
         return fivefold_ids(grid.num_vertices, steps)
     directions = grid.directions.reshape(-1, 3)
-    turn = yaw_rotation(yaw_angle(steps.squeeze(-1), count))
-    return grid.nearest(directions @ turn.to(directions))
+    rotation = yaw_rotation(yaw_angle(steps.squeeze(-1), count))
+    return grid.nearest(directions @ rotation.to(directions))
 
 
 def fivefold_ids(num_vertices: int, steps: Tensor) -> Tensor:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Augmentation by rotation: everything that lies on the sphere, and the rig that saw it, turned together.
+"""Augmentation by rotation: values on the sphere, and the rig that saw them, rotated together.
 
 The modules follow Kornia's: what is drawn at random is a dictionary of tensors, made by ``forward_parameters`` and kept
 in ``_params``; given back as ``params`` it does the same again, to other data if wanted, and ``inverse`` undoes it;
@@ -50,7 +50,7 @@ Parameters = dict[str, Tensor]
 
 
 class _SphereAugmentation(nn.Module):
-    """A random rotation of a tensor or of a sample; subclasses draw it: ``steps`` of the grid, or a ``rotation``."""
+    """A random rotation of a tensor or of a sample; subclasses draw ``rotation``, and ``steps`` if it is exact."""
 
     def __init__(
         self,
@@ -75,11 +75,8 @@ class _SphereAugmentation(nn.Module):
 
     def rotation(self, params: Parameters) -> Float[Tensor, "B 3 3"]:
         """Return the rotations ``(B, 3, 3)`` of parameters; the identity for samples that are not to be turned."""
-        if "steps" in params:
-            turn = yaw_rotation(yaw_angle(params["steps"], num_yaw_steps(self.grid)))
-        else:
-            turn = params["rotation"]
-        return torch.where(params["batch_prob"][:, None, None], turn, torch.eye(3).to(turn))
+        rotation = params["rotation"]
+        return torch.where(params["batch_prob"][:, None, None], rotation, torch.eye(3).to(rotation))
 
     def forward_parameters(self, batch_shape: tuple[int, ...]) -> Parameters:
         """Draw the parameters of a batch: those of ``generate_parameters``, and in ``batch_prob`` who is turned.
@@ -114,8 +111,10 @@ class _SphereAugmentation(nn.Module):
         params = self._params if params is None else params
         if not params:
             raise ArgumentError("params: nothing was turned yet; call the module first or pass parameters")
-        turn = {"steps": -params["steps"]} if "steps" in params else {"rotation": params["rotation"].mT}
-        return self._all_applied(data, {**params, **turn}, data_keys)
+        inverse = {**params, "rotation": params["rotation"].mT}
+        if "steps" in params:
+            inverse["steps"] = -params["steps"]
+        return self._all_applied(data, inverse, data_keys)
 
     def extra_repr(self) -> str:
         return f"p={self.p}, same_on_batch={self.same_on_batch}"
@@ -156,8 +155,8 @@ class _SphereAugmentation(nn.Module):
     def _entry(self, key: str, value: Any, kind: str, params: Parameters) -> Any:
         one_for_all = len(params["batch_prob"]) == 1
         if kind == "rig":
-            turn = self.rotation(params)
-            return value.rotated(rotation=turn[0] if one_for_all else turn)
+            rotation = self.rotation(params)
+            return value.rotated(rotation=rotation[0] if one_for_all else rotation)
         if isinstance(value, Mapping):  # what cameras saw: they turn with the world and see the same
             return value
         params = {name: tensor.to(value.device) for name, tensor in params.items()}
@@ -282,10 +281,11 @@ class RandomYaw(_SphereAugmentation):
             num_yaw_steps(grid)
 
     def generate_parameters(self, batch_shape: tuple[int, ...]) -> Parameters:
-        """Draw ``steps`` ``(B,)`` of the grid, or else ``rotation`` ``(B, 3, 3)``."""
+        """Draw ``rotation`` ``(B, 3, 3)``, and ``steps`` ``(B,)`` where the grid is mapped onto itself."""
         if self.angles == "grid":
-            steps = torch.randint(num_yaw_steps(self.grid), batch_shape[:1], generator=self.generator)
-            return {"steps": steps}
+            count = num_yaw_steps(self.grid)
+            steps = torch.randint(count, batch_shape[:1], generator=self.generator)
+            return {"steps": steps, "rotation": yaw_rotation(yaw_angle(steps, count))}
         angle = 2 * math.pi * torch.rand(batch_shape[:1], generator=self.generator)
         return {"rotation": yaw_rotation(angle)}
 

@@ -49,7 +49,7 @@ NEIGHBOR_STEPS = ((-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-
 #       \  /  \  /  \  /  \  /
 #        S0    S1    S2    S3           zone 2, faces 8 to 11: all four meet at the south pole
 #
-# For a face of each zone, what follows after a step out of it of (-1, -1), (0, -1), (1, -1), (-1, 0), ... in (x, y): the
+# For a face of each zone, what follows after a step out of it, (-1, -1), (0, -1), (1, -1), (-1, 0), ... in (x, y): the
 # zone there (-1 where no face is), how many faces further east, and by how many quarters its frame is turned. From N0,
 # (-1, -1) is south into S0, (0, -1) south-east into B1, and no face is due east, where N0, N1 and B1 meet. In the caps
 # the frame is turned by one across the meridians in which two faces meet (N0, N1), and by two across the pole (N0, N2).

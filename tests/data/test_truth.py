@@ -12,11 +12,13 @@ import torch
 import trimesh
 from torch import Tensor
 
-from sphericalvision.cameras import FisheyeCamera
+from sphericalvision.cameras import FisheyeCamera, ring_rig
 from sphericalvision.core import ArgumentError, FileFormatError, ShapeError
 from sphericalvision.data import read_points, truth_from_points
+from sphericalvision.data.scanned.scanned_frames import ScannedFrames
 from sphericalvision.data.truth import _pixels_of, _rays_of
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.io.images import write_image
 from sphericalvision.scenes import Scene, make_scene, ray_depth
 from sphericalvision.sphere import Equirectangular
 
@@ -248,3 +250,26 @@ def test_planes_so_steep_that_depth_hangs_on_the_pixel_are_not_told() -> None:
     )
     assert valid.sum() > 30
     assert (depth / nearest)[valid].max() < 1.3
+
+
+class BehindTheRig(ScannedFrames):
+    """One frame, whose points the second camera alone sees."""
+
+    def __init__(self, root: Path) -> None:
+        super().__init__(root, height=16)
+        self.fixed_rig = ring_rig(2, image_size=(16, 16))
+        self.names = ["a"]
+        self.images = {"a": {name: root / f"{name}.png" for name in self.fixed_rig.names}}
+        for path in self.images["a"].values():
+            write_image(path, torch.zeros(3, 16, 16))
+
+    def points(self, name: str) -> torch.Tensor:
+        axis = self.fixed_rig.axes[1]
+        rays = Icosphere(5).vertices
+        return 3 * rays[rays @ axis > 0.5]
+
+
+@pytest.mark.filterwarnings("error")
+def test_points_that_any_camera_sees_are_in_the_frame_of_the_rig(tmp_path: Path) -> None:
+    sample = BehindTheRig(tmp_path)[0]
+    assert 0.1 < sample["valid"].float().mean() < 0.5

@@ -233,6 +233,15 @@ def test_unknown_textures_are_named() -> None:
         photograph("eagle.png")
 
 
+def test_objects_float_in_all_directions() -> None:
+    """Their centers are as often above the rig as below it, and left as right: uniform on the sphere."""
+    centers = torch.cat([make_scene("floating", seed).primitives.center[1:] for seed in range(6)])
+    axes = torch.nn.functional.normalize(centers[centers.norm(dim=-1) > 0.1], dim=-1)
+    assert len(axes) > 100
+    assert axes.mean(0).abs().max() < 0.15
+    torch.testing.assert_close(axes.square().mean(0), torch.full((3,), 1 / 3), rtol=0, atol=0.08)
+
+
 @pytest.mark.parametrize("name", ALL_PATTERNS)
 def test_patterns_vary_within_the_unit_interval(name: str, generator: torch.Generator) -> None:
     image = pattern(name, generator, size=64)

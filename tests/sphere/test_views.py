@@ -252,6 +252,20 @@ def test_pairs_of_a_batch_turned_and_unknown() -> None:
     assert (turned.values - single.values.roll(-6, -1)).abs().median() < 1e-3
 
 
+def test_pairs_that_see_infinity_are_merged_far_away() -> None:
+    """A disparity of 0 is no distance that can be averaged: it counts as a thousand baselines."""
+    rig, pairs, disparities, _ = room_of_pairs()
+    target = EquirectangularCamera((12, 24))
+    sky = Views.of_pairs(pairs, [torch.zeros_like(disparity) for disparity in disparities], target)
+    merged = sky.merge(quantity="range", align=False, center=rig.center)
+    assert merged.valid.float().mean() > 0.99
+    baseline = float(pairs[0].baseline)
+    far = merged.values[0][merged.valid] / baseline
+    assert far.isfinite().all()
+    assert far.min() > 500
+    assert 900 < far.median() < 1100
+
+
 def test_refusals_of_pairs() -> None:
     rig = ring_rig(4, image_size=(16, 16))
     pairs = rectified_pairs(rig)

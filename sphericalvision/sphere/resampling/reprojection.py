@@ -27,8 +27,8 @@ def distances_from(
     inverse_depth: Float[Tensor, "*b 1 h w"],
     weight: Float[Tensor, "*b 1 h w"],
     usable: Bool[Tensor, "*#b h w"],
-) -> tuple[Float[Tensor, "*b 1 *target"], Float[Tensor, "*b 1 *target"]]:
-    """Return distances from a point to the surface of a camera's inverse depth, and the weights of its pixels.
+) -> tuple[Float[Tensor, "*distances"], Float[Tensor, "*weights"]]:
+    """Return distances ``(*b, 1, *target_shape)`` from a point to the surface of a camera, and weights of its pixels.
 
     Args:
         start: of the rays, in the camera's frame.

@@ -13,8 +13,10 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.data import SampleView
+from sphericalvision.icosphere import level_from_num_vertices
 from sphericalvision.models import DepthNetwork
 from sphericalvision.scenes.samples import images_as_floats
+from sphericalvision.sweep.ring_mean import ids_of_coarser_level
 
 __all__ = ["Entries", "images_of", "truth_of", "view_of", "view_with"]
 
@@ -102,11 +104,17 @@ def truth_of(batch: Sample, net: DepthNetwork) -> tuple[Tensor, Tensor]:
             ) from None
         return inverse_depth, valid
     inverse_depth, valid = _entry(batch, "inverse_depth", net), _entry(batch, "valid", net)
-    if inverse_depth.shape[-1:] != net.grid.shape:
+    size, level = inverse_depth.shape[-1], net.grid.level
+    if size < net.grid.num_vertices:
         raise ArgumentError(
-            f"data: samples have depth at {inverse_depth.shape[-1]} vertices, {type(net).__name__} estimates it "
-            f"at {net.grid.shape[0]} (level {net.grid.level}); take data of that level"
+            f"data: samples have depth at {size} vertices, {type(net).__name__} estimates it at "
+            f"{net.grid.num_vertices} (level {level}); take data of that level or a finer one"
         )
+    if (
+        size > net.grid.num_vertices
+    ):  # a finer icosphere has the vertices of a coarser one, where depth is as exact
+        ids = ids_of_coarser_level(level_from_num_vertices(size), level, inverse_depth.device)
+        inverse_depth, valid = inverse_depth[..., ids], valid[..., ids]
     return inverse_depth, valid
 
 

@@ -58,6 +58,10 @@ class SamplesOfLevels(Dataset[Sample]):
     def __getitem__(self, index: int) -> Sample:
         return self.parts[self.level_of(index)][index]
 
+    def is_cached(self, index: int) -> bool:
+        """Whether what was rendered for a sample lies in the cache."""
+        return self.parts[self.level_of(index)].is_cached(index)  # type: ignore[attr-defined,no-any-return]
+
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class RandomRigDataModule(PreparedSamples, RenderedDataModule):

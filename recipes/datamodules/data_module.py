@@ -283,9 +283,8 @@ class SampleDataModule(pl.LightningDataModule):
         return {"batches_seen": self.trainer.global_step * per_step}
 
     def load_state_dict(self, state_dict: dict[str, int]) -> None:
-        """Continue behind the batches that were used up, of checkpoints of version 0.2 the samples."""
-        samples = state_dict.get("samples_seen", 0)
-        self.batches_seen = state_dict.get("batches_seen", samples // self.batch_size)
+        """Continue behind the batches that were used up."""
+        self.batches_seen = state_dict["batches_seen"]
 
 
 @dataclass(eq=False, repr=False, kw_only=True)

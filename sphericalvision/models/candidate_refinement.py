@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import torch
@@ -24,7 +23,7 @@ from sphericalvision.models.logit_fusion import FusedLogits, HintedIndex, tried_
 from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth
 from sphericalvision.tables import constant_table
 
-__all__ = ["CandidateRefinement", "Candidates", "RefinedIndex", "candidates_of", "finer_logits", "with_sky"]
+__all__ = ["CandidateRefinement", "Candidates", "RefinedIndex", "candidates_of", "finer_logits"]
 
 RARE = -4.0
 """Logit of the sky before training."""
@@ -222,20 +221,3 @@ def ring_around(level: int, device: torch.device) -> Tensor:
     """Neighbours of each vertex, and itself where there are five."""
     ring = icosphere_neighbors(level, device)
     return torch.where(ring < 0, torch.arange(len(ring), device=device)[:, None], ring)
-
-
-def with_sky(weights: Mapping[str, Tensor], prefix: str = "") -> dict[str, Tensor]:
-    """Return weights of ``CandidateRefinement`` with an output for the sky, which those of version 0.2 do not have.
-
-    It is the one before training, which finds no sky. Weights that have one stay as they are.
-
-    Args:
-        weights: of ``state_dict``, of a refinement or of a network that has one.
-        prefix: of the refinement's names, such as ``"refinement."``.
-    """
-    result = dict(weights)
-    for name, rare in (("weight", 0.0), ("bias", RARE)):
-        key = f"{prefix}exit.{name}"
-        if key in result and len(result[key]) == 4 + 2:
-            result[key] = torch.cat((result[key], torch.full_like(result[key][:1], rare)))
-    return result

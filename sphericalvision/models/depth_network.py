@@ -332,17 +332,6 @@ class DepthNetwork(RemembersArguments):
             return values, contains(directions)
         return values, torch.ones(len(directions), dtype=torch.bool, device=index.device)
 
-    @classmethod
-    def updated_weights(cls, weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return weights that an earlier version wrote in the form that this one loads; files are read through this.
-
-        A network whose weights have changed since overrides it.
-
-        Args:
-            weights: of a ``state_dict``, of any version.
-        """
-        return dict(weights)
-
     @property
     def device(self) -> torch.device:
         """Where the network is."""

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -26,7 +26,6 @@ __all__ = [
     "between_hypotheses",
     "tried_index",
     "two_modes",
-    "with_hint",
 ]
 
 REACH = 4
@@ -340,22 +339,3 @@ def _far_from_best(scores: Tensor) -> Tensor:
 def _expected_index(logits: Tensor, far: Tensor) -> Tensor:
     index = tried_index(logits.shape[1], logits.device)
     return (logits.masked_fill(far, -torch.inf).softmax(1) * index).sum(1)
-
-
-def with_hint(weights: Mapping[str, Tensor], prefix: str = "") -> dict[str, Tensor]:
-    """Return weights of ``LogitFusion`` with the layers for hints, which those of version 0.2 do not have.
-
-    They are those before training. Weights that have them stay as they are.
-
-    Args:
-        weights: of ``state_dict``, of a fusion or of a network that has one.
-        prefix: of the fusion's names, such as ``"fusion."``.
-    """
-    result = dict(weights)
-    if f"{prefix}entry.weight" in result and f"{prefix}hint_entry.weight" not in result:
-        like = result[f"{prefix}entry.weight"]
-        width = len(like)
-        result[f"{prefix}hint_entry.weight"] = like.new_zeros(width, HINT_CLUES, 1)
-        result[f"{prefix}hint_exit.weight"] = like.new_zeros(1, width, 1)
-        result[f"{prefix}hint_exit.bias"] = like.new_zeros(1)
-    return result

@@ -26,7 +26,6 @@ from sphericalvision.models.candidate_refinement import (
     candidates_of,
     finer_logits,
     ring_around,
-    with_sky,
 )
 from sphericalvision.models.depth_network import DepthNetwork
 from sphericalvision.models.icosweepnet import IcoSweepNet
@@ -38,7 +37,6 @@ from sphericalvision.models.logit_fusion import (
     at_index,
     between_hypotheses,
     two_modes,
-    with_hint,
 )
 from sphericalvision.models.weights.registry import register_network
 from sphericalvision.sweep import (
@@ -214,11 +212,6 @@ class RefinedSweepNet(DepthNetwork):
         net.prior.load_state_dict(prior.state_dict())
         net.prior.requires_grad_(train_prior)
         return net
-
-    @classmethod
-    def updated_weights(cls, weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return weights with an output for the sky and layers for hints, which those of version 0.2 do not have."""
-        return with_hint(with_sky(weights, "refinement."), "fusion.")
 
     def tables(self, rig: CameraRig) -> RefinedTables:
         """Return where each camera sees every point that is tried, to be passed in place of the rig."""

@@ -64,7 +64,6 @@ def read_network(source: str | Path | None = None) -> DepthNetwork:
             if state and all(key.startswith(prefix) for key in state):
                 state = {key.removeprefix(prefix): value for key, value in state.items()}
         network = network_class(content["architecture"])
-        state = network.updated_weights(state)
         return make_network(network, content["network_hyperparameters"], state, path).eval()
     except FileFormatError:
         raise

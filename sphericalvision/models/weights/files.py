@@ -153,7 +153,6 @@ def load_weights(path: str | Path) -> DepthNetwork:
     except ArgumentError as error:
         raise FileFormatError(f"{path}: holds the weights of an unknown network: {error}") from error
     try:
-        state = network.updated_weights(state)
         return make_network(network, json.loads(metadata["hyperparameters"]), state, path).eval()
     except FileFormatError:
         raise

@@ -268,7 +268,7 @@ def data_words(data: DictConfig, cache: Path) -> list[str]:
             size = "[32,64]" if "equirect" in str(data.rig) else "[32,32]"
             words += [] if "path" in data.rig else [f"rig.image_size={size}"]
         else:
-            words += ["data.image_size=[32,32]", "data.levels=null"]
+            words += ["data.image_size=[32,32]", "data.levels=null", "data.clues=null"]
         words += ["data.num_train=3", "data.num_val=1", "data.num_test=2", "data.samples_per_pixel=1"]
         words += [f"data.cache_dir={cache}", "data.batch_size=1"]
     elif target.endswith("DigitsDataModule"):

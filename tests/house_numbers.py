@@ -54,7 +54,8 @@ import torch
 from hydra import compose, initialize_config_module
 from sphericalvision.data.collate import collate_samples
 from sphericalvision.recipes.commands.train import instantiate_run
-words = ["experiment=refinedsweepnet", "data.image_size=[48,48]", "data.cache_dir=null", "trainer.accelerator=cpu"]
+words = ["experiment=refinedsweepnet/fusion", "data=random_rigs", "data.image_size=[48,48]"]
+words += ["data.cache_dir=null", "trainer.accelerator=cpu"]
 with initialize_config_module("sphericalvision.conf", version_base="1.3"):
     run = instantiate_run(compose("train", words), Path("run"))
 run.module.log = lambda *names, **options: None

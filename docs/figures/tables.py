@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from pathlib import Path
@@ -97,36 +96,3 @@ def presets() -> str:
         "Error of each preset against the CPU time of a frame, for clean, disturbed and other scenes",
         "What the time buys, from the table below. Lower is better.",
     )
-
-
-def training_loss() -> str:
-    """Loss of a twentieth of the training of RefinedSweepNet, and in which range it is to be expected."""
-    rows = csv.DictReader((PAGES / "figures/training_loss.csv").open())
-    steps, loss = zip(
-        *((int(row["step"]), float(row["loss"])) for row in rows), strict=True
-    )
-    figure = new_figure(4.2, 2.6)
-    axes = figure.add_axes((0.13, 0.19, 0.84, 0.78))
-    axes.plot(steps, loss, color=CHARTS[2])
-    for name, (mean, low, high) in loss_ranges().items():
-        ends = [int(end) for end in name.split(" to ")]
-        axes.fill_between(ends, low, high, color=FAINT, alpha=0.3, linewidth=0)
-        axes.plot(ends, [mean, mean], color=MARK)
-    axes.set(xlabel="step", ylabel="loss", xlim=(0, steps[-1]))
-    axes.grid(color=FAINT, alpha=0.3)
-    return to_html(
-        figure,
-        "Loss of the first 600 steps of a short training, falling, with ranges of its means",
-        "Loss of a twentieth of the training: means of ten steps, and the means and ranges of the table.",
-    )
-
-
-def loss_ranges() -> dict[str, list[float]]:
-    """Mean loss of some steps, and the ends of its range, by the words ``FIRST to LAST``."""
-    text = (PAGES / "guide/refinedsweepnet.md").read_text()
-    rows = re.findall(
-        r"^\| (\d+ to \d+) \| ([\d.]+) \| ([\d.]+) to ([\d.]+) \|$",
-        text,
-        re.MULTILINE,
-    )
-    return {name: [float(value) for value in values] for name, *values in rows}

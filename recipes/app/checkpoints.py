@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import torch
 
 from sphericalvision.core import ArgumentError, FileFormatError, first_line
-from sphericalvision.models import DepthNetwork
+from sphericalvision.models import DepthNetwork, IcoSweepNet, RefinedSweepNet
 from sphericalvision.models.weights.checkpoints import read_network
 
 __all__ = ["initialize", "load_network", "read_checkpoint", "refuse_others"]
@@ -44,10 +44,14 @@ def load_network(
 def initialize(net: DepthNetwork, weights: str | Path) -> None:
     """Start ``net`` from the parameters of another checkpoint, trained at any level.
 
+    Those of an ``IcoSweepNet`` are for the prior of a ``RefinedSweepNet``, whose other parts stay as they are.
+
     Raises:
         ArgumentError: the other network is of another kind, number of cameras or channels; the message names both.
     """
     other = load_network(weights)
+    if isinstance(net, RefinedSweepNet) and isinstance(other, IcoSweepNet):
+        net = net.prior
     if type(other) is not type(net):
         raise ArgumentError(
             f"init_weights: {weights} is {type(other).__name__}, the network to train {type(net).__name__}"

@@ -20,8 +20,9 @@ from pytorch_lightning.callbacks import LearningRateMonitor, ModelCheckpoint, Pr
 from typing_extensions import TypedDict
 
 from sphericalvision.core import ArgumentError
+from sphericalvision.models import load_weights, save_weights
 from sphericalvision.recipes.app.cli import build, print_config
-from sphericalvision.recipes.app.kinds import STRICT, Count, Number, OnlyWith, Share, Text
+from sphericalvision.recipes.app.kinds import STRICT, Count, Number, OnlyWith, Positive, Share, Text
 from sphericalvision.recipes.app.words import evaluate_command, resume_command
 from sphericalvision.recipes.datamodules.data_module import SampleDataModule
 from sphericalvision.recipes.evaluation.tables import save_errors
@@ -34,6 +35,7 @@ from sphericalvision.recipes.training.run_folder import (
     resume_path,
     run_folder,
 )
+from sphericalvision.recipes.training.stages import train_stages
 
 __all__ = ["Run", "TrainKeys", "instantiate_run", "train"]
 
@@ -79,6 +81,8 @@ class TrainKeys(TypedDict, total=False):
     seed: Number
     resume: Text | None
     init_weights: Text | None
+    result: Text | None
+    stages: dict[str, Positive] | None
     task: Any
     model: Any
     rig: Annotated[Any, OnlyWith("data.rig", "data=scenes")]
@@ -161,7 +165,9 @@ def begin_logging(config: DictConfig, trainer: pl.Trainer) -> None:
 
 
 def train_objective(config: Annotated[DictConfig, TrainKeys], folder: Path) -> float:
-    """Train, and return the value that a sweep compares."""
+    """Train, and return the value that a sweep compares; of stages the last one's error."""
+    if config.stages is not None:
+        return train_stages(config, folder)
     return train(config, folder)[config.task.monitor.rpartition("/")[2].replace("over_", ">")]
 
 
@@ -226,6 +232,9 @@ def train_in(folder: Path, checkpoint: Path | None, config: DictConfig) -> dict[
         print(f"Warning: {sentence}")
     if trainer.is_global_zero:
         module.write_report(data, values, config.init_weights, folder)
+        if config.result is not None:
+            save_weights(load_weights(best.with_suffix(".safetensors")), config.result, bits=8)
+            print(f"\nWeights of this stage: {config.result}")
         print(f"\nResults are in {folder}")
         print(f"Resume:   {resume_command(last, 2 * trainer.global_step)}")
         if data.has_truth and best.with_suffix(".safetensors").is_file():

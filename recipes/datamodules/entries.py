@@ -104,14 +104,14 @@ def truth_of(batch: Sample, net: DepthNetwork) -> tuple[Tensor, Tensor]:
             ) from None
         return inverse_depth, valid
     inverse_depth, valid = _entry(batch, "inverse_depth", net), _entry(batch, "valid", net)
-    size, level = inverse_depth.shape[-1], net.grid.level
-    if size < net.grid.num_vertices:
+    size, level = inverse_depth.shape[-1], grid.level
+    if size < grid.num_vertices:
         raise ArgumentError(
             f"data: samples have depth at {size} vertices, {type(net).__name__} estimates it at "
-            f"{net.grid.num_vertices} (level {level}); take data of that level or a finer one"
+            f"{grid.num_vertices} (level {level}); take data of that level or a finer one"
         )
     if (
-        size > net.grid.num_vertices
+        size > grid.num_vertices
     ):  # a finer icosphere has the vertices of a coarser one, where depth is as exact
         ids = ids_of_coarser_level(level_from_num_vertices(size), level, inverse_depth.device)
         inverse_depth, valid = inverse_depth[..., ids], valid[..., ids]

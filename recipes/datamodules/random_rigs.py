@@ -3,25 +3,28 @@
 
 from __future__ import annotations
 
-import random
+import math
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
+from pathlib import Path
 from typing import Annotated, Any
 
 import torch
-from annotated_types import Ge, MinLen
+from annotated_types import Ge, Len, MinLen
 from pydantic import with_config
 from torch.utils.data import Dataset
 from typing_extensions import TypedDict
 
 from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.core import ArgumentError
-from sphericalvision.data import RotateFivefold
+from sphericalvision.data import RotateFivefold, SampleView
 from sphericalvision.data.augmentation.fivefold import Mirror
 from sphericalvision.data.augmentation.transforms import Compose
-from sphericalvision.recipes.app.kinds import STRICT, Count, Share, Size
-from sphericalvision.recipes.datamodules.ahead import ReusedBatches
+from sphericalvision.icosphere import num_icosphere_vertices
+from sphericalvision.recipes.app.kinds import STRICT, Count, Number, Positive, Size, Text
+from sphericalvision.recipes.datamodules.clues import SamplesWithClues, clue_bytes, prior_of
 from sphericalvision.recipes.datamodules.data_module import PreparedSamples, Sample
 from sphericalvision.recipes.datamodules.scenes import RenderedDataModule
 from sphericalvision.scenes import World, WorldSamples
@@ -34,33 +37,42 @@ __all__ = ["RandomRigDataModule"]
 
 @with_config(STRICT)
 class LevelSamples(TypedDict):
-    """Training samples on icospheres of one level: how often a batch is of them, its size, and that of the images."""
+    """Training samples on icospheres of one level.
 
-    share: Share
+    ``seeds`` are the first of them and their number, ``times`` how often each comes while another comes once; and the
+    sizes of a batch and of the cameras' images.
+    """
+
+    seeds: Annotated[Sequence[Number], Len(2, 2)]
+    times: Number
     batch_size: Count
     image_size: Size
 
 
 class SamplesOfLevels(Dataset[Sample]):
-    """Samples of which each is on an icosphere of the level that is drawn for it.
+    """Samples on icospheres of several levels.
 
     Args:
-        parts: the same seeds at each level.
-        level_of: the level of a sample, by its index.
+        of_level: the samples of each level.
+        entries: level, and index among its samples, of each sample.
     """
 
-    def __init__(self, parts: Mapping[int, Dataset[Sample]], level_of: Callable[[int], int]) -> None:
-        self.parts, self.level_of = parts, level_of
+    def __init__(
+        self, of_level: Mapping[int, WorldSamples | SamplesWithClues], entries: Sequence[tuple[int, int]]
+    ) -> None:
+        self.of_level, self.entries = of_level, entries
 
     def __len__(self) -> int:
-        return len(next(iter(self.parts.values())))  # type: ignore[arg-type]
+        return len(self.entries)
 
     def __getitem__(self, index: int) -> Sample:
-        return self.parts[self.level_of(index)][index]
+        level, number = self.entries[index]
+        return self.of_level[level][number]
 
     def is_cached(self, index: int) -> bool:
-        """Whether what was rendered for a sample lies in the cache."""
-        return self.parts[self.level_of(index)].is_cached(index)  # type: ignore[attr-defined,no-any-return]
+        """Whether what was made for a sample lies in the cache."""
+        level, number = self.entries[index]
+        return self.of_level[level].is_cached(number)
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
@@ -76,16 +88,16 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
     A batch of training has rigs of as many cameras each. In training, the world is turned by random multiples of 72
     degrees, and half of the samples on icospheres are mirrored.
 
-    A device may be faster than the processes that render. With ``uses``, it then takes a batch again, turned and
-    mirrored anew, in place of waiting. What is kept in a cache, and what the main process renders, is used once.
-
     Args:
         world: what comes how often, and faults, as ``conf/world/random_rigs.yaml``.
         image_size: height and width of the cameras.
         num_cameras: of random rigs; level rings have four.
-        levels: of icospheres that training samples are on, for a network that is to serve several: its own when not
-            given. Validation and tests are at the network's own level.
-        uses: how often a training batch is used at most, while the next is not ready.
+        levels: of icospheres that training samples are on, for a network that is to serve several, each with seeds of
+            its own: the network's level and ``num_train`` samples when not given. Validation and tests are at the
+            network's own level.
+        clues: weights of a prior. What sweep and prior say of the samples of ``levels`` is computed once, and kept in
+            ``cache_dir``, for a training in which the prior does not learn.
+        cache_gb: largest size of what is kept of the samples of ``levels``.
 
     References:
         WMGStereo (2025), "What makes good synthetic training data for zero-shot stereo matching?", for diversity
@@ -98,10 +110,10 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
         default_factory=lambda: [2, 3, 4, 5, 6]
     )
     levels: dict[int, LevelSamples] | None = None
-    uses: Count = 1
+    clues: Text | None = None
+    cache_gb: Positive = 24.0
 
-    of_training = (*RenderedDataModule.of_training, "levels", "uses")
-    made_before = ("val",)
+    of_training = (*RenderedDataModule.of_training, "levels", "clues", "cache_gb")
 
     def bind_network(self, net: Any, *more: str, depth_level: int | None = None) -> None:
         """Give samples as the network takes them.
@@ -124,13 +136,39 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
             raise ArgumentError(
                 f"model.min_depth: random rigs are in scenes of natural size, for 0.55 m, got {net.min_depth}"
             )
+        self.net = net
         super().bind_network(net, *(entry for entry in more if entry != "fisheye"), depth_level=depth_level)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self.world_of(self.image_size)  # raises for shares that do not fit
-        if self.levels is not None and not sum(part["share"] for part in self.levels.values()) > 0:
-            raise ArgumentError(f"data.levels: expected shares above 0, got {dict(self.levels)}")
+        if self.levels is not None and not self.round_indices:
+            raise ArgumentError(
+                f"data.levels: expected samples of one level or more, got {dict(self.levels)}"
+            )
+        if self.clues is not None and (self.levels is None or self.cache_dir is None):
+            raise ArgumentError(
+                "data.clues: expected null without data.levels and data.cache_dir, where clues are kept"
+            )
+
+    def training_seeds(self) -> dict[str, tuple[int, int]]:
+        """Number and first seed of the training samples, of each level those of its own."""
+        if self.levels is None:
+            return super().training_seeds()
+        return {
+            f"levels.{level}": (part["seeds"][1], part["seeds"][0]) for level, part in self.levels.items()
+        }
+
+    @cached_property
+    def round_indices(self) -> list[tuple[int, int]]:
+        """Level, and index among its samples, of each training sample in a round."""
+        levels = self.levels or {}
+        return [
+            (level, index)
+            for level, part in levels.items()
+            for _ in range(part["times"])
+            for index in range(part["seeds"][1])
+        ]
 
     def rigs(self, size: Sequence[int]) -> LevelOrRandomRigs:
         """What draws rigs of cameras of a size."""
@@ -156,31 +194,80 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
         """Samples of one split as they are kept."""
         view = replace(self.view, antialias=True)
         if split == "train" and self.levels is not None:
-            parts = {
-                level: WorldSamples(
-                    self.world_of(part["image_size"]),
-                    replace(view, level=level, depth_level=level),
-                    self.seeds(split),
-                    self.cache_dir,
-                    as_bytes=True,
-                )
+            of_level = {
+                level: self.at_level(replace(view, level=level, depth_level=level), part)
                 for level, part in self.levels.items()
+                if part["times"]
             }
-            return SamplesOfLevels(parts, self.level_of)
+            return SamplesOfLevels(of_level, self.round_indices)
         return WorldSamples(self.world_of(self.image_size), view, self.seeds(split), self.cache_dir)
 
+    def prepare_data(self) -> None:
+        """Make what training and validation will read, where a cache keeps it.
+
+        Raises:
+            ArgumentError: it would be larger than ``cache_gb``, or than the disk.
+        """
+        if self.cache_dir is not None and self.levels is not None:
+            folder = Path(self.cache_dir)
+            folder.mkdir(parents=True, exist_ok=True)
+            self._check_space(folder)
+        super().prepare_data()
+
+    def _check_space(self, folder: Path) -> None:
+        """Compare the size of all samples with what they may take, and that of the missing ones with the disk."""
+        size = self.cache_bytes
+        fewer = "set fewer samples in data.levels"
+        if size > self.cache_gb * 1e9:
+            raise ArgumentError(
+                f"data.cache_gb: the samples of data.levels take up to {size / 1e9:.1f} GB, more than "
+                f"{self.cache_gb:g}; set data.cache_gb={math.ceil(size / 1e9)}, or {fewer}"
+            )
+        samples = self.plain("train")
+        assert isinstance(samples, SamplesOfLevels)
+        of_level = samples.of_level.values()
+        missing = sum(not each.is_cached(index) for each in of_level for index in range(len(each)))
+        missing_size = size * missing / sum(map(len, of_level))
+        free = shutil.disk_usage(folder).free
+        if missing_size > free:
+            raise ArgumentError(
+                f"data.cache_dir: {folder} has {free / 1e9:.1f} GB free, the samples to come take up to "
+                f"{missing_size / 1e9:.1f}; free the disk, choose another data.cache_dir=..., or {fewer}"
+            )
+
     @property
-    def level_of(self) -> Callable[[int], int]:
-        """The level of a training sample, by its index. As many batches as the shares say are of each."""
-        assert self.levels is not None
-        samples = {level: part["share"] * part["batch_size"] for level, part in self.levels.items()}
-        return partial(_drawn_level, samples, self.seeds("train"))
+    def cache_bytes(self) -> int:
+        """Size of all training samples of ``levels`` at most, as they are kept."""
+        if self.cache_dir is None or self.levels is None:
+            return 0
+        return sum(
+            part["seeds"][1] * self._sample_bytes(level)
+            for level, part in self.levels.items()
+            if part["times"]
+        )
+
+    def _sample_bytes(self, level: int) -> int:
+        """Size of a sample of the most cameras, without compression: images, what is seen of them, depth, clues."""
+        cameras = max(4 if self.world["level_rigs"] else 0, *self.num_cameras)
+        size = num_icosphere_vertices(level) * (cameras * (3 + 1) + 4)
+        return size + (0 if self.clues is None else clue_bytes(self.net, level))
+
+    def at_level(self, view: SampleView, part: LevelSamples) -> WorldSamples | SamplesWithClues:
+        """Training samples of one level, with clues if these are kept."""
+        seeds = _seeds_of(part)
+        samples = WorldSamples(self.world_of(part["image_size"]), view, seeds, self.cache_dir, as_bytes=True)
+        if self.clues is None:
+            return samples
+        assert self.cache_dir is not None
+        return SamplesWithClues(samples, self.net, prior_of(self.clues), self.cache_dir)
 
     def group(self, index: int) -> tuple[int | None, int, bool]:
         """Level, number of cameras and kind of lens of a training sample."""
-        draws = Draws.of(self.seeds("train")[index])
-        level = None if self.levels is None else self.level_of(index)
-        return (level, *self.rigs(self.image_size).kind(draws.rig))
+        if self.levels is None:
+            return (None, *self.rigs(self.image_size).kind(Draws.of(self.seeds("train")[index]).rig))
+        level, number = self.round_indices[index]
+        seed = _seeds_of(self.levels[level])[number]
+        return (level, *self.rigs(self.image_size).kind(Draws.of(seed).rig))
 
     @property
     def batch_sizes(self) -> int | Callable[[Any], int]:
@@ -190,21 +277,13 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
         sizes = {level: part["batch_size"] for level, part in self.levels.items()}
         return partial(_size_for, sizes)
 
-    def train_dataloader(self) -> Any:
-        """Endless training batches, some of them again where the next is not ready."""
-        loader = super().train_dataloader()
-        if self.uses == 1 or self.num_workers == 0 or self.cache_dir is not None:
-            return loader
-        generator = torch.Generator().manual_seed(self.seed)
-        return ReusedBatches(loader, self.uses, self.augmentation(generator), pinned=loader.pin_memory)
+
+def _seeds_of(part: LevelSamples) -> range:
+    first, number = part["seeds"]
+    return range(first, first + number)
 
 
-# Functions of the module, as processes of a loader take them along: with a method they would take the trainer, too.
-
-
-def _drawn_level(samples: Mapping[int, float], seeds: Sequence[int], index: int) -> int:
-    """One of the levels for the sample of a seed, as often as it has samples."""
-    return random.Random(seeds[index]).choices(list(samples), list(samples.values()))[0]
+# A function of the module, as processes of a loader take it along: with a method they would take the trainer, too.
 
 
 def _size_for(sizes: Mapping[int, int], group: tuple[int, int, bool]) -> int:

@@ -74,24 +74,28 @@ class RenderedDataModule(DepthDataModule):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.scenes = {
-            "train": (self.num_train, self.train_seed),
-            "val": (self.num_val, self.val_seed),
-            "test": (self.num_test, self.test_seed),
-        }
-        for split, (number, first) in self.scenes.items():
+        held_out = {"val": (self.num_val, self.val_seed), "test": (self.num_test, self.test_seed)}
+        self.scenes = {"train": (self.num_train, self.train_seed), **held_out}
+        for split, (number, first) in {**self.training_seeds(), **held_out}.items():
             if first + number > HELD_OUT_SEED:
                 raise ArgumentError(
                     f"data: seeds from {HELD_OUT_SEED} are held out for the benchmark, and {split} scenes end at "
                     f"{first + number - 1}; set data.{split}_seed to {HELD_OUT_SEED - number} or less"
                 )
-        ranges = sorted((first, first + number, split) for split, (number, first) in self.scenes.items())
+        ranges = sorted(
+            (first, first + number, split)
+            for split, (number, first) in {**self.training_seeds(), **held_out}.items()
+        )
         for (_, end, one), (start, _, other) in pairwise(ranges):
             if start < end:
                 raise ArgumentError(
                     f"data: the seeds of {one} and {other} scenes overlap ({one} ends at {end - 1}, {other} "
                     f"starts at {start}); set data.{other}_seed to {end} or more"
                 )
+
+    def training_seeds(self) -> dict[str, tuple[int, int]]:
+        """Number and first seed of the training scenes."""
+        return {"train": (self.num_train, self.train_seed)}
 
     def seeds(self, split: str) -> range:
         """The seeds of a split."""
@@ -128,7 +132,7 @@ class RenderedDataModule(DepthDataModule):
             return
         samples = self.plain(split)
         is_cached = getattr(samples, "is_cached", lambda index: False)
-        missing = [index for index in range(self.scenes[split][0]) if not is_cached(index)]
+        missing = [index for index in range(len(samples)) if not is_cached(index)]  # type: ignore[arg-type]
         if not missing:
             return
         loader = DataLoader(Subset(samples, missing), batch_size=None, num_workers=self.num_workers)

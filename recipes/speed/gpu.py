@@ -38,7 +38,7 @@ PREDICTORS: dict[str, dict[str, Any]] = {
 }
 BATCH = 16
 TRAINING = [
-    "experiment=refinedsweepnet",
+    "experiment=refinedsweepnet/fusion",
     "data=random_rigs",
     "data.cache_dir=null",
     f"data.num_workers={max(1, (os.cpu_count() or 1) - 1)}",

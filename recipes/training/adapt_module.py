@@ -33,10 +33,9 @@ class AdaptModule(DepthModule):
     metric_names = ("photo-consistency",)
     unit = "share of what winner-takes-all reaches"
     learns_all = True
-    shows_hints = False  # there is no truth
 
     def __init__(self, *args: Any, **settings: Any) -> None:
-        super().__init__(*args, **settings)
+        super().__init__(*args, hints=0.0, **settings)  # there is no truth that they could be made from
         self.share = MeanMetric("disable")  # a number that is none shows
 
     def validation_step(self, batch: dict[str, Any], batch_idx: int) -> Tensor:

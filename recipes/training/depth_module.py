@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +13,14 @@ from torch import Tensor
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
-from sphericalvision.core import check_choice
+from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data.augmentation.simulated_hint import simulated_hint
 from sphericalvision.icosphere import level_from_num_vertices
 from sphericalvision.metrics import DepthIndexError
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.checkpoints import initialize
+from sphericalvision.recipes.app.kinds import Share
+from sphericalvision.recipes.datamodules.clues import clues_of
 from sphericalvision.recipes.datamodules.entries import images_of, truth_of
 from sphericalvision.recipes.training.module import TrainingModule
 from sphericalvision.recipes.training.rig_tables import RigTables
@@ -43,19 +45,19 @@ class DepthModule(TrainingModule):
         mode: "min" or "max", its best direction.
         recompute: train in less memory for a third more work; the results are the same.
         seed: of each training step, with its number.
+        learns: what the names of the weights that learn begin with; all learn when not given.
+        hints: share of the samples that a network which takes hints sees with one that is simulated from the truth.
         compile: backend by which ``torch.compile`` makes one program of the loss, which takes minutes for each new
             number of cameras; none when not given.
 
     Raises:
-        ArgumentError: ``torch.compile`` has no such backend.
+        ArgumentError: ``torch.compile`` has no such backend, or no weight has a name that begins so.
     """
 
     metric_names = METRICS
     unit = "percent of N"
     learns_all = False
     """Whether weights that a network keeps as they are learn, too."""
-    shows_hints = True
-    """Whether a network that takes hints sees some that are simulated from the truth."""
 
     def __init__(
         self,
@@ -67,11 +69,18 @@ class DepthModule(TrainingModule):
         mode: str = "min",
         recompute: bool = False,
         seed: int = 0,
+        learns: Sequence[str] | None = None,
+        hints: Share = 0.35,
         compile: str | None = None,
     ) -> None:
         super().__init__(net, loss, optimizer, scheduler, monitor, mode, seed)
         if self.learns_all:
             net.requires_grad_(True)
+        if learns is not None:
+            net.requires_grad_(False)
+            for beginning in learns:
+                _select(net, beginning)
+        self.hints = hints
         net.configure(recompute=recompute)
         if compile is not None:
             check_choice("task.compile", compile, tuple(torch.compiler.list_backends(exclude_tags=())))
@@ -107,10 +116,13 @@ class DepthModule(TrainingModule):
         """The loss of one batch."""
         net, tables, training_loss = self._at_level_of(batch)
         images, seen = images_of(batch, net)
-        rig = tables.of(batch["rig"])
-        more = {}
-        if net.takes_hints and self.shows_hints:
-            more["hint"] = simulated_hint(batch["inverse_depth"], batch["valid"], seen)
+        more: dict[str, Any] = {}
+        if net.takes_hints and self.hints:
+            more["hint"] = simulated_hint(batch["inverse_depth"], batch["valid"], seen, share=self.hints)
+        if "clues" in batch:  # most of what tables are made for has been computed already
+            rig, more["clues"] = batch["rig"], clues_of(batch)
+        else:
+            rig = tables.of(batch["rig"])
         loss: Tensor = training_loss(images, rig, seen, *_target(batch, net), self.loss, **more)
         self.log("train/loss", loss, batch_size=len(images))
         return loss
@@ -147,6 +159,19 @@ class DepthModule(TrainingModule):
         for name in METRICS:
             key = f"val/{name.replace('>', 'over_')}"
             self.log(key, values[name], prog_bar=name == "MAE", sync_dist=True)
+
+
+def _select(net: DepthNetwork, beginning: str) -> None:
+    """Let the weights learn whose names begin so."""
+    weights = [weight for name, weight in net.named_parameters() if name.startswith(beginning)]
+    if not weights:
+        names = ", ".join(sorted({name.partition(".")[0] for name, _ in net.named_parameters()}))
+        raise ArgumentError(
+            f"task.learns: no weight of {type(net).__name__} has a name that begins with {beginning!r}; its parts are "
+            f"{names}"
+        )
+    for weight in weights:
+        weight.requires_grad_(True)
 
 
 def _target(batch: dict[str, Any], net: DepthNetwork) -> tuple[Tensor, Tensor]:

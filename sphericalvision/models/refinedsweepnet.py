@@ -69,6 +69,8 @@ PRIOR = {
     "volume_channels": 8,
 }
 """Hyper-parameters of ``icosweepnet-small`` that its weights depend on."""
+SCALES = ("level", "num_hypotheses", "min_depth")
+"""Hyper-parameters of the prior that follow from those of the network around it."""
 DOUBTFUL = 2.0
 """Hypotheses: an answer that is expected to be as far off deserves no confidence."""
 FARTHEST = 0.06
@@ -206,8 +208,7 @@ class RefinedSweepNet(DepthNetwork):
         """
         if not isinstance(prior, IcoSweepNet):
             raise ArgumentError(f"prior: expected an IcoSweepNet, got {type(prior).__name__}")
-        scales = ("level", "num_hypotheses", "min_depth")
-        shape = {name: value for name, value in prior.hyperparameters.items() if name not in scales}
+        shape = {name: value for name, value in prior.hyperparameters.items() if name not in SCALES}
         net = cls(**hyperparameters, prior=shape)
         net.prior.load_state_dict(prior.state_dict())
         net.prior.requires_grad_(train_prior)
@@ -337,12 +338,13 @@ class RefinedSweepNet(DepthNetwork):
     def training_loss(
         self,
         images: Float[Tensor, "B n 3 V_image"],
-        rig: CameraRig | RefinedTables,
+        rig: CameraRig | RefinedTables | list[CameraRig],
         seen: Bool[Tensor, "B n V_image"] | None,
         target: Float[Tensor, "B V_image"],
         valid: Bool[Tensor, "B V_image"],
         loss: Callable[..., Tensor],
         hint: DepthHint | None = None,
+        clues: SweepClues | None = None,
     ) -> Float[Tensor, ""]:
         """Return a loss of the index at all levels, of the logits, of the prior, and of the confidence.
 
@@ -351,16 +353,28 @@ class RefinedSweepNet(DepthNetwork):
         steps of the refinement the mean counts. The confidence learns 1 less the error of the index, in halves of
         hypotheses up to two; the sky, where the true index is 0: at infinity. Where there is little of it, behind
         windows, it counts more.
+
+        Args:
+            images: as for ``predict``; so are ``rig``, ``seen`` and ``hint``. With ``clues`` a rig a sample will do.
+            target: the true index.
+            valid: where it is known.
+            loss: of index, true index and where that is known.
+            clues: result of the method ``clues`` for these images, computed before. The prior does not learn then, and
+                no tables are made of the rig; ``seen`` is needed.
         """
-        tables = rig if isinstance(rig, RefinedTables) else self.tables(rig)
-        check_tables(tables.seen, images)
-        views = self.views(images, tables.seen if seen is None else seen)
+        if clues is None or seen is None:
+            tables = rig if isinstance(rig, RefinedTables) else self.tables(rig)  # type: ignore[arg-type]
+            check_tables(tables.seen, images)
+            views, offsets = self.views(images, tables.seen if seen is None else seen), tables.offsets
+            clues = self.clues(views[0][0], tables, views[0][1])
+        else:
+            views = self.views(images, seen)
+            offsets = _offsets(rig).to(self.up)
         coarse, coarse_seen = views[0]
-        clues = self.clues(coarse, tables, coarse_seen)
         if hint is None:  # layers for hints have gradients all the same, as several processes want it
             hint = DepthHint(torch.zeros_like(target), torch.zeros_like(target))
         hints = self.hints(hint)
-        fused = self.fuse(clues, coarse, coarse_seen, tables.offsets, hints[0])
+        fused = self.fuse(clues, coarse, coarse_seen, offsets, hints[0])
         scale = (self.inner_hypotheses - 1) / (self.num_hypotheses - 1)
         true = (target * scale).clamp(0, self.inner_hypotheses - 1)
 
@@ -369,7 +383,7 @@ class RefinedSweepNet(DepthNetwork):
             return true[:, ids], valid[:, ids]
 
         modes = two_modes(fused.logits)
-        steps = self.refinements(fused, views, tables.offsets, hints[1:], modes)
+        steps = self.refinements(fused, views, offsets, hints[1:], modes)
         total = torch.stack(
             [
                 _loss_of_step(refined, *at_level(level), loss)
@@ -395,8 +409,12 @@ def _spread_over(number: int, device: torch.device) -> Tensor:
     return torch.linspace(0, number - 1, 4, device=device).round().long()
 
 
-def _offsets(rig: CameraRig) -> Tensor:
-    """``(*b, n, 3)`` from each camera to the rig's centre."""
+def _offsets(rig: CameraRig | RefinedTables | list[CameraRig]) -> Tensor:
+    """``(*b, n, 3)`` from each camera to the centre of its rig; a list is a batch."""
+    if isinstance(rig, RefinedTables):
+        return rig.offsets
+    if isinstance(rig, list):
+        return torch.stack([_offsets(each) for each in rig])
     return rig.center[..., None, :] - rig.positions
 
 

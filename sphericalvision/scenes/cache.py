@@ -29,6 +29,7 @@ class ArrayCache:
         folder: made if need be, or None.
         holds: shape and dtype of each array of a set, by name; a file that holds anything else is made anew. Anything
             will do when not given, and any size that is None.
+        compress: whether files are smaller, for more time to write and read them.
 
     Examples:
         >>> cache = ArrayCache(None)
@@ -38,8 +39,11 @@ class ArrayCache:
         False
     """
 
-    def __init__(self, folder: Path | None, holds: Mapping[str, Kept] | None = None) -> None:
+    def __init__(
+        self, folder: Path | None, holds: Mapping[str, Kept] | None = None, compress: bool = True
+    ) -> None:
         self.folder, self.holds = folder, None if holds is None else dict(holds)
+        self.compress = compress
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
 
@@ -55,7 +59,7 @@ class ArrayCache:
         arrays = _load(path)
         if arrays is None or not self._fit(arrays):
             arrays = dict(make())
-            _store(path, arrays)
+            self._store(path, arrays)
         return arrays
 
     def _fit(self, arrays: Mapping[str, Tensor]) -> bool:
@@ -67,6 +71,11 @@ class ArrayCache:
             and all(size in (None, actual) for size, actual in zip(shape, array.shape, strict=True))
             for array, (shape, dtype) in ((arrays[name], self.holds[name]) for name in self.holds)
         )
+
+    def _store(self, path: Path, arrays: Mapping[str, Tensor]) -> None:
+        plain: dict[str, Any] = {name: array.numpy() for name, array in arrays.items()}
+        with atomic_write(path) as temporary:
+            (np.savez_compressed if self.compress else np.savez)(temporary, **plain)
 
     @staticmethod
     def _path(folder: Path, name: str) -> Path:
@@ -105,9 +114,3 @@ def _load(path: Path) -> dict[str, Tensor] | None:
 
 def _array(content: bytes) -> Tensor:
     return torch.from_numpy(np.lib.format.read_array(io.BytesIO(content), allow_pickle=False))
-
-
-def _store(path: Path, arrays: Mapping[str, Tensor]) -> None:
-    plain: dict[str, Any] = {name: array.numpy() for name, array in arrays.items()}
-    with atomic_write(path) as temporary:
-        np.savez_compressed(temporary, **plain)

@@ -75,7 +75,9 @@ class WorldSamples(Dataset[dict[str, Any]]):
             world.check_free_space(world.rig)
         self.world, self.view, self.seeds, self.as_bytes = world, view, seeds, as_bytes
         self.to_view = ToView(view)
-        folder = None if cache_dir is None else Path(cache_dir) / f"samples-{world.fingerprint(view)}"
+        #: Sixteen characters that change with everything but the seeds.
+        self.fingerprint = world.fingerprint(view)
+        folder = None if cache_dir is None else Path(cache_dir) / f"samples-{self.fingerprint}"
         self.cache = ArrayCache(folder, _arrays_of(view, world.rig))
 
     def __len__(self) -> int:
@@ -95,7 +97,11 @@ class WorldSamples(Dataset[dict[str, Any]]):
 
     def is_cached(self, index: int) -> bool:
         """Whether what was rendered for a sample lies in the cache; never without one."""
-        return self.cache.has(self.world.frame(self.seeds[index]).name)
+        return self.cache.has(self.name(index))
+
+    def name(self, index: int) -> str:
+        """The entry ``frame`` of a sample, kind and seed, by which it is kept."""
+        return self.world.frame(self.seeds[index]).name
 
     @property
     def _grids(self) -> dict[str, Callable[[], SphereGrid]]:

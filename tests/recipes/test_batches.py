@@ -85,7 +85,7 @@ def module_of(net: DepthNetwork, compile: str | None = None) -> DepthModule:
         net, depth_index_huber, torch.optim.SGD, lambda optimizer: optimizer, compile=compile
     )
     module.log = lambda *_, **__: None  # type: ignore[method-assign,assignment]
-    module.shows_hints = False  # they are drawn for each sample
+    module.hints = 0.0  # they are drawn for each sample
     return module
 
 

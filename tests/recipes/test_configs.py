@@ -22,10 +22,12 @@ from tests.recipes.tiny import composed
 from tests.worlds import recorded_frames
 
 CONF = Path(sphericalvision.conf.__file__).parent
-EXPERIMENTS = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
-DEPTH_EXPERIMENTS = [
-    name for name in EXPERIMENTS if name not in ("spherical_digits", "segmentation", "adapt")
-]
+FOLDER = CONF / "experiment"
+EXPERIMENTS = sorted(
+    str(path.relative_to(FOLDER).with_suffix("")) for path in FOLDER.rglob("*.yaml") if path.name[0] != "_"
+)
+OTHERS = ("spherical_digits", "segmentation", "adapt", "refinedsweepnet")
+DEPTH_EXPERIMENTS = [name for name in EXPERIMENTS if name not in OTHERS]
 FILES = sorted(CONF.rglob("*.yaml"))
 DELTAS = ("experiment", "debug", "hparams", "launcher")
 """Groups of changes to keys that are explained elsewhere."""
@@ -51,6 +53,7 @@ def test_every_experiment_makes_its_network_and_its_first_sample(experiment: str
     if "cache_dir" in data:
         size = "rig.image_size=[32,32]" if "rig" in data else "data.image_size=[32,32]"
         words = ("data.cache_dir=null", "data.samples_per_pixel=1", size)
+        words += ("data.levels=null", "data.clues=null") if "clues" in data else ()
     config = train_config(f"experiment={experiment}", *words)
     net, data = build(config.model), build(config.data)
     data.bind_network(net)

@@ -30,13 +30,12 @@ sweep is one of them."""
 
 @pytest.fixture(scope="module")
 def module() -> DepthModule:
-    """The network of ``experiment=refinedsweepnet`` with fewer channels, levels and blocks."""
+    """The network of ``model=refinedsweepnet`` with fewer channels, levels and blocks."""
     torch.manual_seed(0)
     net = RefinedSweepNet(
         LEVEL,
         widths=(4,) * 3,
         blocks=1,
-        refining_colors=3,
         prior={**PRIOR, "feature_channels": 4},
     )
     adamw = partial(torch.optim.AdamW, foreach=True)  # as it is by itself on a GPU

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -19,7 +19,7 @@ from sphericalvision.icosphere.topology import level_from_num_vertices
 
 __all__ = ["Mirror", "RotateFivefold", "moved_on_icosphere", "rotate_fivefold"]
 
-ON_ICOSPHERE = ("images", "seen", "inverse_depth", "valid")
+ON_ICOSPHERE = ("images", "seen", "inverse_depth", "valid", "clues")
 ON_PANORAMA = ("panorama_inverse_depth", "panorama_valid")
 
 
@@ -41,8 +41,14 @@ def rotate_fivefold(values: Shaped[Tensor, "*values V"], steps: int) -> Shaped[T
 
 
 def moved_on_icosphere(sample: dict[str, Any], move: Callable[[Tensor], Tensor]) -> dict[str, Any]:
-    """Return the entries of a sample that lie on an icosphere, of any level, after ``move``."""
-    return {key: move(sample[key]) for key in ON_ICOSPHERE if key in sample}
+    """Return the entries of a sample that lie on an icosphere, of any level, after ``move``; a dict's values each."""
+    return {
+        key: {name: move(values) for name, values in sample[key].items()}
+        if isinstance(sample[key], Mapping)
+        else move(sample[key])
+        for key in ON_ICOSPHERE
+        if key in sample
+    }
 
 
 class RotateFivefold:

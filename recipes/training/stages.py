@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A training in stages: each is an experiment of its own, whose weights the next one starts from."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hydra import compose
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from sphericalvision.core import ArgumentError
+from sphericalvision.io.files import atomic_write
+from sphericalvision.recipes import train
+from sphericalvision.recipes.app.cli import build, print_table, say
+from sphericalvision.recipes.app.errors import several_processes
+from sphericalvision.recipes.app.words import own_configs
+from sphericalvision.recipes.training.run_folder import changed_settings, flat_settings
+
+__all__ = ["Stage", "train_stages"]
+
+OF_STAGES = ("experiment=", "stages=", "output=", "resume=", "result=", "paths.stages=")
+"""Words of the whole command line that its stages set themselves."""
+CHANGES_NOTHING = (
+    "output",
+    "resume",
+    "tags",
+    "data.num_workers",
+    "trainer.*",
+    "callbacks.*",
+    "logger.*",
+    "paths.*",
+)
+"""Keys of a stage that is done which may differ: none of them is about data, network or loss."""
+
+
+class Stage(NamedTuple):
+    """One experiment.
+
+    Attributes:
+        name: of the experiment.
+        hours: of one core that it takes.
+        words: of ``sphericalvision-train``.
+        config: what these words come to.
+    """
+
+    name: str
+    hours: float
+    words: list[str]
+    config: DictConfig
+
+    @property
+    def result(self) -> Path:
+        """The file of weights, which is there once the stage is done."""
+        return Path(self.config.result)
+
+    @property
+    def gigabytes(self) -> float:
+        """Of what it renders and keeps at most."""
+        data = build(self.config.data, "data")
+        data.bind_network(build(self.config.model, "model"))
+        return float(getattr(data, "cache_bytes", 0) / 1e9)
+
+
+def train_stages(config: DictConfig, folder: Path) -> float:
+    """Train the stages of a configuration in their order, but for those that are done.
+
+    Each may be stopped at any time; the same command goes on with it.
+
+    Args:
+        config: with ``stages``.
+        folder: for the weights of all, and a folder for each.
+
+    Returns:
+        The validated error of the last stage.
+
+    Raises:
+        ArgumentError: a stage has no ``result``.
+        SystemExit: one was stopped, or failed.
+    """
+    stages = [stage_of(name, hours, folder) for name, hours in config.stages.items()]
+    print_plan(stages)
+    for stage in stages:
+        if not stage.result.is_file():
+            began = time.monotonic()
+            run(stage)
+            note(stage, time.monotonic() - began, folder)
+    say(
+        f"\nAll stages are done. Weights: {stages[-1].result}\nHow they were made: {write_card(stages, folder)}"
+    )
+    return float(next(iter(errors_of(stages[-1]).values()), {}).get("MAE", math.nan))
+
+
+def stage_of(name: str, hours: float, folder: Path) -> Stage:
+    """A stage with the words of this command line."""
+    own = [word for word in HydraConfig.get().overrides.task if not word.startswith(OF_STAGES)]
+    words = [f"experiment={name}", *own, f"paths.stages={folder}", "resume=auto"]
+    config = compose("train", words)
+    if config.result is None:
+        raise ArgumentError(
+            f"stages.{name}: this experiment sets no result=, the file of weights that says that it is done"
+        )
+    return Stage(name, hours, [*own_configs(), *words], config)
+
+
+def print_plan(stages: list[Stage]) -> None:
+    """Say what is done, and what the others will take of time and disk."""
+    rows = []
+    for stage in stages:
+        state = "done" if stage.result.is_file() else f"{stage.hours:g}"
+        steps = str(stage.config.trainer.max_steps)
+        rows.append([stage.name, steps, state, f"{stage.gigabytes:.1f}", str(stage.result)])
+    print_table("stages", ["experiment", "iterations", "core-hours", "GB of samples", "weights"], rows)
+    for stage in stages:
+        changes = changed_settings(Path(stage.config.output), stage.config, CHANGES_NOTHING)
+        if stage.result.is_file() and changes:
+            say(
+                f"{stage.name} was done with other settings ({'; '.join(changes[:3])}); remove {stage.result} and "
+                f"{stage.config.output} to have it done again"
+            )
+
+
+def run(stage: Stage) -> None:
+    """Do what ``sphericalvision-train`` does with the words of a stage.
+
+    Raises:
+        SystemExit: it stopped before its end.
+    """
+    say(f"\n{stage.name}", style="bold")
+    if not several_processes(stage.config):
+        train.main(stage.words)
+        return
+    # Lightning starts further processes by repeating the command line, which has to be that of this stage.
+    process = subprocess.Popen([sys.executable, "-m", train.__name__, *stage.words])
+    try:
+        status = process.wait()
+    except KeyboardInterrupt:  # has reached that process, too: it saves where it is
+        status = process.wait()
+    if status:
+        raise SystemExit(status)
+
+
+def note(stage: Stage, seconds: float, folder: Path) -> None:
+    """Add to the hours that a stage has taken."""
+    path = folder / "hours.json"
+    hours = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    with atomic_write(path) as temporary:
+        temporary.write_text(json.dumps({**hours, stage.name: seconds / 3600}), encoding="utf-8")
+
+
+def errors_of(stage: Stage) -> dict[str, dict[str, float]]:
+    """What was validated at its end."""
+    path = Path(stage.config.output) / "validation.json"
+    errors: dict[str, dict[str, float]] = {}
+    if path.is_file():
+        errors = json.loads(path.read_text(encoding="utf-8"))
+    return errors
+
+
+def write_card(stages: list[Stage], folder: Path) -> Path:
+    """Write which command made the weights, of what, in how much time, and how well they do."""
+    hours = folder / "hours.json"
+    taken = json.loads(hours.read_text(encoding="utf-8")) if hours.is_file() else {}
+    lines = [
+        f"# {stages[-1].result.stem}",
+        "",
+        "```",
+        " ".join(["sphericalvision-train", *HydraConfig.get().overrides.task]),
+        "```",
+        "",
+        "| stage | iterations | hours | seed | validated, percent of N |",
+        "|---|---:|---:|---:|---|",
+    ]
+    for stage in stages:
+        time_taken = f"{taken[stage.name]:.2f}" if stage.name in taken else "before"
+        errors = next(iter(errors_of(stage).values()), {})
+        text = ", ".join(f"{name} {value:.2f}" for name, value in errors.items())
+        config = stage.config
+        lines.append(f"| {stage.name} | {config.trainer.max_steps} | {time_taken} | {config.seed} | {text} |")
+    lines += ["", "## Settings", ""]
+    for stage in stages:
+        settings: dict[str, Any] = flat_settings(
+            stage.config, (*CHANGES_NOTHING[:3], "*_target_", "*_partial_", "paths.*")
+        )
+        values = [f"`{key}={value}`" for key, value in settings.items() if value is not None]
+        lines += [f"* {stage.name}: {', '.join(values)}"]
+    path = stages[-1].result.with_suffix(".md")
+    with atomic_write(path) as temporary:
+        temporary.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    return path

@@ -13,7 +13,7 @@ from figures import CHARTS, FAINT, INK, MARK, bare_axes, new_figure, to_html
 from figures.results import scene_images
 from sphericalvision.icosphere import Icosphere, icosphere_upsample
 from sphericalvision.models import pretrained
-from sphericalvision.models.logit_fusion import two_modes
+from sphericalvision.models.tried_hypotheses import two_modes
 from sphericalvision.scenes import make_scene, ray_depth
 from sphericalvision.sweep import index_from_depth, inverse_depth_hypotheses
 

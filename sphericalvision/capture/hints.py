@@ -28,7 +28,7 @@ from sphericalvision.core import (
 from sphericalvision.geometry.surfaces import distance_along
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models.candidate_refinement import ring_around
-from sphericalvision.models.logit_fusion import DISTRUST, HintedIndex, agreement
+from sphericalvision.models.hint_gate import DISTRUST, HintedIndex, agreement
 from sphericalvision.sweep import DepthHint, index_from_inverse_depth
 
 if TYPE_CHECKING:

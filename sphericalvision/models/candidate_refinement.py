@@ -19,7 +19,9 @@ from sphericalvision.icosphere import (
 )
 from sphericalvision.icosphere.hierarchy import icosphere_vertex_parents
 from sphericalvision.models.hexunet import HexResidualBlock
-from sphericalvision.models.logit_fusion import FusedLogits, HintedIndex, tried_index, two_modes
+from sphericalvision.models.hint_gate import HintedIndex
+from sphericalvision.models.logit_fusion import FusedLogits
+from sphericalvision.models.tried_hypotheses import tried_index, two_modes
 from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth
 from sphericalvision.tables import constant_table
 
@@ -117,15 +119,17 @@ class CandidateRefinement(nn.Module):
         """
         index, likely, step, spread = candidates
         color, deviation, cameras = appearance
-        near, far = color[:, -3], color[:, -2]
+        # The last three candidates are the nearest, the farthest and the second best. The mean, where it is looked at,
+        # is the first.
+        nearest, farthest = color[:, -3], color[:, -2]
         mean = index[:, :1]
         entries = (
             ((index - mean) / 4).detach().clamp(-2, 2),
             3 * deviation,
             cameras / 4,
             likely,
-            color[:, 0] if self.colors == 4 else (near + far) / 2,
-            (near - far).abs().mean(1, keepdim=True),
+            color[:, 0] if self.colors == 4 else (nearest + farthest) / 2,
+            (nearest - farthest).abs().mean(1, keepdim=True),
             mean.detach() / num_hypotheses,
             step[:, None] / 4,
             spread[:, None] / 4,
@@ -133,15 +137,16 @@ class CandidateRefinement(nn.Module):
         values = self.block(self.entry(torch.cat((icosphere_upsample(state), *entries), 1)))
         scores, *others = self.exit(F.relu(values)).split((4, 1, 1, 1), 1)
         correction, confidence, sky = (values.squeeze(1) for values in others)
+        # A mean of candidates by their weights, not the best one: weights are what has a gradient.
         weights = scores.softmax(1)
         chosen = ((weights * index).sum(1) + correction).clamp(0, num_hypotheses - 1)
         if self.colors == 3:
             cameras = torch.cat((cameras[:, :2].amin(1, keepdim=True), cameras), 1)
         seen = cameras.gather(1, weights.max(1, keepdim=True).indices).squeeze(1) >= 2
-        with torch.no_grad():
+        with torch.no_grad():  # what the next finer level may still choose, where this choice is wrong
             others = weights.masked_fill((index - chosen[:, None]).abs() < 1, -1.0)
-            weight, place = others.max(1, keepdim=True)
-            second = torch.where(weight > PLAUSIBLE, index.gather(1, place), index[:, 3:]).squeeze(1)
+            weight, best = others.max(1, keepdim=True)
+            second = torch.where(weight > PLAUSIBLE, index.gather(1, best), index[:, 3:]).squeeze(1)
         return RefinedIndex(chosen, confidence, sky, seen, second)
 
 
@@ -181,15 +186,17 @@ def candidates_of(
     logits = fused.logits
     best, second = two_modes(logits) if modes is None else modes
     level = level_from_num_vertices(logits.shape[-1])
+    # Each finer vertex lies half-way between two coarser ones, or on one, which is then both of its parents.
     one, other = icosphere_vertex_parents(level + 1, logits.device).unbind(1)
     around = best[:, ring_around(level, logits.device)]
-    near, far = torch.maximum(best, around.amax(-1)), torch.minimum(best, around.amin(-1))
-    ours, theirs = best[:, one], best[:, other]
+    # An edge may lie a vertex off in the coarse answer: the other side is offered from a ring around both parents.
+    nearest, farthest = torch.maximum(best, around.amax(-1)), torch.minimum(best, around.amin(-1))
+    first, last = best[:, one], best[:, other]
     index = torch.stack(
         (
-            (ours + theirs) / 2,
-            torch.maximum(near[:, one], near[:, other]),
-            torch.minimum(far[:, one], far[:, other]),
+            (first + last) / 2,
+            torch.maximum(nearest[:, one], nearest[:, other]),
+            torch.minimum(farthest[:, one], farthest[:, other]),
             second[:, one],
             *(() if hint is None else (hint.index,)),
         ),
@@ -197,23 +204,23 @@ def candidates_of(
     )
     with torch.no_grad():
         probability = logits.softmax(1)
-        nearest = (2 * index).round().long().clamp(0, logits.shape[1] - 1)
-        places = nearest * probability.shape[-1]  # of hypotheses and vertices in one row
+        hypothesis = (2 * index).round().long().clamp(0, logits.shape[1] - 1)
+        rows = hypothesis * probability.shape[-1]  # hypotheses and vertices in one row: one gather a parent
         likely = [
-            probability.flatten(1).gather(1, (places + parent).flatten(1)).view_as(index)
+            probability.flatten(1).gather(1, (rows + parent).flatten(1)).view_as(index)
             for parent in (one, other)
         ]
-        step = (ours - theirs).abs()
+        step = (first - last).abs()
         spread = (probability * (tried_index(logits.shape[1], logits.device) - best[:, None]).abs()).sum(1)
         spread = (spread[:, one] + spread[:, other]) / 2
-    both = (likely[0] + likely[1]) / 2
-    if hint is not None:
-        better = ((hint.weight > 0) & (both[:, 4] >= both[:, 3]))[:, None]
-        index, both = (
+    mean = (likely[0] + likely[1]) / 2
+    if hint is not None:  # four candidates in any case, as the layers have inputs for four
+        better = ((hint.weight > 0) & (mean[:, 4] >= mean[:, 3]))[:, None]
+        index, mean = (
             torch.cat((values[:, :3], values[:, 4:].where(better, values[:, 3:4])), 1)
-            for values in (index, both)
+            for values in (index, mean)
         )
-    return Candidates(index, both, step, spread)
+    return Candidates(index, mean, step, spread)
 
 
 @constant_table

@@ -21,8 +21,9 @@ from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import IcoSweepNet, RefinedSweepNet, pretrained, save_weights
 from sphericalvision.models.candidate_refinement import RARE, candidates_of
 from sphericalvision.models.hexunet import HexUNet
-from sphericalvision.models.logit_fusion import FusedLogits, two_modes
+from sphericalvision.models.logit_fusion import FusedLogits
 from sphericalvision.models.refinedsweepnet import FARTHEST
+from sphericalvision.models.tried_hypotheses import two_modes
 from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.sweep import DepthHint, index_from_depth, inverse_depth_from_index

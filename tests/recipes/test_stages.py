@@ -104,7 +104,7 @@ def test_each_stage_starts_from_the_one_before_and_learns_its_part(done: Path) -
     assert all(torch.equal(value, fusion[f"prior.{name}"]) for name, value in prior.items())
     for before, after, parts in (
         (fusion, finer, ("fusion", "refinement")),
-        (finer, hints, ("fusion.hint_exit",)),
+        (finer, hints, ("fusion.hint_gate.exit",)),
     ):
         changed = {name for name, value in after.items() if not torch.equal(value, before[name])}
         assert changed

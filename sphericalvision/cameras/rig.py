@@ -89,10 +89,24 @@ class CameraRig:
             )
         named = cameras if isinstance(cameras, Mapping) else {f"cam{i + 1}": c for i, c in enumerate(cameras)}
         self.cameras: dict[str, Camera] = dict(named)
+        self.world_from_camera = world_from_camera
         self.masks: dict[str, Tensor] = dict(masks or {})
+        self.around = None if around is None else list(around)
+        self._check_cameras()
+        lead = (*world_from_camera.shape[:-3], 3)
+        self.origin: Tensor = (
+            world_from_camera.new_zeros(lead, dtype=torch.float64) if origin is None else origin
+        )
+        if tuple(self.origin.shape) != lead or self.origin.dtype != torch.float64:
+            raise ShapeError(
+                f"origin: expected float64 {lead}, got {self.origin.dtype} {tuple(self.origin.shape)}"
+            )
+
+    def _check_cameras(self) -> None:
+        """Raise unless poses and masks are those of the cameras, and names are known."""
         for name, camera in self.cameras.items():
             check_type(f"cameras[{name!r}]", camera, Camera, "read_camera reads one")
-        check_poses(self.names, world_from_camera)
+        check_poses(self.names, self.world_from_camera)
         for name, mask in self.masks.items():
             check_tensor(f"masks[{name!r}]", mask, "(*b, h, w)")
             if name not in self.cameras:
@@ -106,18 +120,8 @@ class CameraRig:
                     f"masks[{name!r}]: expected bool, True where the image is usable, got {mask.dtype}; "
                     "mask > 0 makes one"
                 )
-        self.world_from_camera = world_from_camera
-        self.around = None if around is None else list(around)
         if self.around is not None and not set() < set(self.around) <= set(self.cameras):
             raise ArgumentError(f"around: expected names among {', '.join(self.names)}, got {self.around}")
-        lead = (*world_from_camera.shape[:-3], 3)
-        self.origin: Tensor = (
-            world_from_camera.new_zeros(lead, dtype=torch.float64) if origin is None else origin
-        )
-        if tuple(self.origin.shape) != lead or self.origin.dtype != torch.float64:
-            raise ShapeError(
-                f"origin: expected float64 {lead}, got {self.origin.dtype} {tuple(self.origin.shape)}"
-            )
 
     @property
     def names(self) -> list[str]:

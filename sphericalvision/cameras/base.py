@@ -6,7 +6,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar, dataclass_transform
+from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
 
 import torch
 from jaxtyping import Bool, Float, Shaped
@@ -17,29 +17,18 @@ from sphericalvision.cameras.checks import (
     check_image,
     check_precision,
     checked_angle,
-    checked_numbers,
     checked_size,
 )
-from sphericalvision.cameras.declaration import (
-    ANY,
-    Choice,
-    Declared,
-    ImageSize,
-    Intrinsic,
-    MaxAngle,
-    OptionalIntrinsic,
-    constructor,
-)
+from sphericalvision.cameras.declaration import DeclaredModel
 from sphericalvision.core import (
     ArgumentError,
     ArgumentTypeError,
     ShapeError,
-    check_choice,
     check_last_dim,
     check_tensor,
 )
 from sphericalvision.geometry.bilinear import bilinear_sample
-from sphericalvision.geometry.directions import broadcast_shapes, components, moderate_lengths
+from sphericalvision.geometry.directions import components, moderate_lengths
 
 __all__ = ["Camera", "Projection", "Unprojection", "check_single"]
 
@@ -80,10 +69,7 @@ class Unprojection(NamedTuple):
     """bool (*)."""
 
 
-@dataclass_transform(
-    eq_default=False, field_specifiers=(Choice, ImageSize, Intrinsic, MaxAngle, OptionalIntrinsic)
-)
-class Camera:
+class Camera(DeclaredModel):
     """A central camera. It maps points or directions, not the plane z = 1, so fields of view beyond 180° are possible.
 
     Intrinsics are tensors whose batch dimensions ``*b`` broadcast with each other (none for a single camera); points
@@ -116,95 +102,6 @@ class Camera:
     functions: ClassVar[tuple[Callable[..., Projection], Callable[..., Unprojection]]]
     """The model's pure functions of projection and unprojection; after the points or pixels they take the intrinsics,
     but for a skew, and then the options."""
-    declared: ClassVar[Mapping[str, Declared]] = {}
-    """The arguments of the constructor, in order. What follows comes from them, or is written by models that have a
-    constructor of their own."""
-    intrinsic_names: ClassVar[tuple[str, ...]] = ()
-    """The tensor attributes, in the constructor's order."""
-    option_names: ClassVar[tuple[str, ...]] = ()
-    """Constructor arguments that are not tensors."""
-    sizes: ClassVar[Mapping[str, tuple[int, ...]]] = {}
-    """Intrinsic -> how many numbers its last dimension may hold; none, ``()``, means one number a camera, without a
-    dimension of its own. Intrinsics that are not named hold any number."""
-    optional_names: ClassVar[tuple[str, ...]] = ()
-    """Those of ``intrinsic_names`` that may be ``None``."""
-    default_names: ClassVar[tuple[str, ...]] = ()
-    """Those of ``optional_names`` that files leave out where they are ``None``."""
-
-    image_size: ImageSize
-    max_angle: MaxAngle
-
-    def __init_subclass__(cls, **options: Any) -> None:
-        super().__init_subclass__(**options)
-        own = {name: value for name, value in vars(cls).items() if isinstance(value, Declared)}
-        if not own:
-            return
-        cls.declared = {**cls.declared, **own}
-        intrinsics = {name: value for name, value in cls.declared.items() if isinstance(value, Intrinsic)}
-        cls.intrinsic_names = tuple(intrinsics)
-        cls.option_names = tuple(name for name, value in cls.declared.items() if isinstance(value, Choice))
-        cls.sizes = {name: value.sizes for name, value in intrinsics.items() if value.sizes != (ANY,)}
-        cls.optional_names = tuple(name for name, value in intrinsics.items() if value.optional)
-        cls.default_names = tuple(name for name in cls.optional_names if intrinsics[name].default is None)
-        if "__init__" not in vars(cls):
-            cls.__init__ = constructor(cls.declared, cls._fill)  # type: ignore[method-assign]
-
-    def __init__(
-        self, image_size: Sequence[int], max_angle: float | Float[Tensor, "*#batch"], **intrinsics: Any
-    ) -> None:
-        self.image_size = checked_size(image_size)
-        tensors = [value for value in (*intrinsics.values(), max_angle) if isinstance(value, Tensor)]
-        floating = [value for value in tensors if value.is_floating_point()]
-        like = floating[0] if floating else torch.empty(())
-        check_precision(like.dtype)
-        for name, value in intrinsics.items():
-            if value is None and name not in self.optional_names:
-                raise ArgumentError(f"{name}: expected numbers, got None; a {type(self).__name__} needs them")
-            setattr(self, name, None if value is None else checked_numbers(name, value, like))
-        self.max_angle = checked_angle(max_angle, like)
-        self._check_intrinsics()
-        self._broadcast()
-
-    def _fill(self, values: dict[str, Any]) -> None:
-        """What the constructor does with the values of what is declared."""
-        for name, declared in self.declared.items():
-            if isinstance(declared, Choice):
-                check_choice(name, values[name], declared.choices)
-                setattr(self, name, values[name])
-        max_angle = values["max_angle"]
-        intrinsics = {name: values[name] for name in self.intrinsic_names}
-        Camera.__init__(self, values["image_size"], math.pi if max_angle is None else max_angle, **intrinsics)
-        if max_angle is None:
-            self.max_angle = self._model_end()
-
-    def _check_intrinsics(self) -> None:
-        """Raise unless sizes and numbers are those of the model."""
-        for name in self.intrinsic_names:
-            above = 0.0 if name == "focal_length" else -math.inf
-            declared = self.declared.get(name) or Intrinsic(*self.sizes.get(name, (ANY,)), above=above)
-            if isinstance(declared, Intrinsic) and getattr(self, name) is not None:
-                declared.check(name, getattr(self, name))
-
-    def _broadcast(self) -> None:
-        """Give all intrinsics and ``max_angle`` the batch dimensions that they share."""
-        names = self._tensor_names()
-        leads = {name: self._batch_of(name) for name in names}
-        try:
-            batch = broadcast_shapes(*leads.values())
-        except RuntimeError:
-            shapes = ", ".join(f"{name} {tuple(getattr(self, name).shape)}" for name in names)
-            raise ShapeError(
-                f"intrinsics: expected batch dimensions that broadcast with each other, got {shapes}"
-            ) from None
-        for name in names:
-            tensor = getattr(self, name)
-            if leads[name] != batch:
-                setattr(self, name, tensor.expand(*batch, *tensor.shape[len(leads[name]) :]))
-
-    def _batch_of(self, name: str) -> tuple[int, ...]:
-        """Batch dimensions of an intrinsic: all but the last one, or all of those that are one number a camera."""
-        shape = tuple(getattr(self, name).shape)
-        return shape if name == "max_angle" or self.sizes.get(name) == () else shape[:-1]
 
     @property
     def batch_shape(self) -> tuple[int, ...]:
@@ -234,10 +131,6 @@ class Camera:
         tensors = dict(zip(self.intrinsic_names, self._aligned(values), strict=True))
         tensors.pop("skew", None)
         return [*tensors.values(), *(getattr(self, name) for name in self.option_names)]
-
-    def _model_end(self) -> Tensor:
-        """Where the model ends, in radians from the axis: the default of ``max_angle``, which is π until then."""
-        return self.max_angle
 
     def project(self, points: Float[Tensor, "*points 3"]) -> Projection:
         """Pixels (*, 2) of ``points`` (*, 3) in the camera's frame, of any length.
@@ -506,9 +399,6 @@ class Camera:
         """The same for unit directions."""
         lowest = torch.cos(self._widest(directions).clamp_max(math.pi))
         return directions[..., 2] >= lowest - 4 * torch.finfo(directions.dtype).eps
-
-    def _tensor_names(self) -> tuple[str, ...]:
-        return tuple(name for name in (*self.intrinsic_names, "max_angle") if getattr(self, name) is not None)
 
     def _signature(self) -> tuple[Any, ...]:
         shapes = tuple((name, tuple(getattr(self, name).shape)) for name in self._tensor_names())

@@ -96,6 +96,7 @@ def radiance(scene: Scene, table: SurfaceTable, rays: RayPackets, spread: Tensor
     met = hit >= 0
     if bool(met.all()):
         return _surfaces(scene, table, rays, spread, distance, hit, bounces)
+    # Packets at the horizon are in both lists: sky first, and surfaces replace it ray by ray.
     sky, ground = (~met).any(1).nonzero()[:, 0], met.any(1).nonzero()[:, 0]
     light = torch.empty_like(rays.direction)
     above = rays.direction.index_select(1, sky)
@@ -119,14 +120,26 @@ def _surfaces(
     hit: Tensor,
     bounces: int,
 ) -> Tensor:
-    """`radiance` of what rays hit, from `first_hits`; anything where they hit nothing."""
+    """`radiance` of what rays hit, from `first_hits`; anything where they hit nothing.
+
+    By ray, with reflectance ρ, mirrored fraction m and fog density f, this is
+
+        light = ρ · (glow if glow > 0 else irradiance(position))
+        light = (1 - m) · light + m · radiance(reflected ray)
+        light = haze + (light - haze) · exp(-f · distance)
+
+    All steps but the last change ``light`` in place: it is the largest array of a picture.
+    """
+    # Rays without a hit are computed along with the others, as if 1 m away on primitive 0, so that packets stay whole.
     met = hit >= 0
     distance, row = distance.masked_fill_(~met, 1), hit.clamp(min=0)
     position = torch.addcmul(rays.origin, rays.direction, distance)
     direction, rows = rays.direction.flatten(1), row.flatten()
     normal, uv, inner = normals_and_uv(scene.primitives, position.flatten(1), direction, rows)
     light, glow = _albedo(table, uv, normal, direction, rows, (distance * spread).flatten())
-    side = row ^ -inner.view_as(row).long()  # -1 - row on the inner side
+    side = (
+        row ^ -inner.view_as(row).long()
+    )  # -1 - row on the inner side: x ^ -1 is the complement, x ^ 0 is x
     arriving = irradiance(scene, SurfaceSamples(position, normal.view_as(position), side))
     # A weight of 0 or 1 makes `lerp` a choice, which on a CPU is faster than `where`.
     light.mul_(torch.lerp(arriving.flatten(1), glow.expand_as(light), (glow > 0).to(glow)))
@@ -134,6 +147,7 @@ def _surfaces(
         glossy = (table.mirror > 0).index_select(0, rows).logical_and_(met.flatten()).nonzero()[:, 0]
         if len(glossy):
             spot, ray, outward = (x.index_select(1, glossy) for x in (position.flatten(1), direction, normal))
+            # Twice the angle: they have spread on the way to the mirror already.
             wider = packed(2 * spread.flatten()[glossy])
             seen = radiance(scene, table, _reflected(spot, ray, outward), wider, bounces - 1)
             reflectance = table.mirror.index_select(0, rows[glossy])
@@ -141,7 +155,7 @@ def _surfaces(
             _write(light, glossy, mixed)
     light = light.view_as(position)
     if scene.fog:
-        haze = sky_light(scene.background, scene.clouds[:0], rays.direction)
+        haze = sky_light(scene.background, scene.clouds[:0], rays.direction)  # of the sky without clouds
         light = torch.lerp(haze, light, distance.mul(-scene.fog).exp_())
     return light
 

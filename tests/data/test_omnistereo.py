@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from torch.utils.data import DataLoader
 from sphericalvision.cameras import CameraRig, read_rig
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
 from sphericalvision.data import OmniStereoDataset, collate_samples, write_omnistereo
+from sphericalvision.data.omnistereo import writer
 
 Sample = dict[str, Any]
 Make = Callable[..., Any]
@@ -62,6 +64,25 @@ def test_the_rig_is_read_back(
         both = expected.valid & result.valid
         assert (expected.valid != result.valid).float().mean() < 0.01
         torch.testing.assert_close(result.pixels[both], expected.pixels[both], rtol=0, atol=5e-3)
+
+
+def test_frames_that_another_process_adds_meanwhile_are_in_the_range(
+    tmp_path: Path, rig: CameraRig, frames: Frames, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It may end while config.yaml is being written for the last time."""
+    write, calls = writer._write_calibration, 0
+
+    def write_beside_another(root: Path, files: Mapping[str, bytes]) -> None:
+        nonlocal calls
+        write(root, files)
+        calls += 1
+        if calls == 2:
+            truth = next(path for path in root.rglob("00002.*") if "cam" not in path.parent.name)
+            shutil.copy(truth, truth.with_stem("00009"))
+
+    monkeypatch.setattr(writer, "_write_calibration", write_beside_another)
+    write_omnistereo(tmp_path, frames(1, 2), rig, "tiff")
+    assert yaml.safe_load((tmp_path / "config.yaml").read_text())["dataset"]["end"] == 9
 
 
 def test_convention_layout_of_the_png_release(tmp_path: Path, rig: CameraRig, frames: Frames) -> None:

@@ -111,7 +111,7 @@ def test_frames_of_other_settings_are_not_mixed_in(
 def test_frames_from_elsewhere_are_not_mixed_with(failing: Callable[..., str], tmp_path: Path) -> None:
     (tmp_path / "set/depth_train_640").mkdir(parents=True)
     (tmp_path / "set/depth_train_640/00001.png").touch()
-    assert "no rendered.yaml tells" in failing("render", "output=set", "num_frames=2", *TINY)
+    assert "no rendered.yaml" in failing("render", "output=set", "num_frames=2", *TINY)
 
 
 def test_a_frame_depends_on_its_seed_alone() -> None:

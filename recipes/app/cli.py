@@ -30,7 +30,16 @@ __all__ = [
     "say",
 ]
 
-console = Console(markup=False)  # brackets in names are no styles
+
+class _Console(Console):
+    """A console that leaves a closed pipe to the command; rich would end it with status 1 and no word."""
+
+    def on_broken_pipe(self) -> None:
+        """Raise what rich has caught."""
+        raise BrokenPipeError
+
+
+console = _Console(markup=False)  # brackets in names are no styles
 
 
 def build(config: Any, where: str = "", **kwargs: Any) -> Any:

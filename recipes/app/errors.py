@@ -37,17 +37,22 @@ def refuse(message: str) -> NoReturn:
 
 
 @contextmanager
-def plain_errors() -> Iterator[None]:
+def plain_errors(on_closed_pipe: str | None = None) -> Iterator[None]:
     """Print errors that a user can mend without their traceback and exit with status 1.
 
     Other errors are faults of the program and pass; with ``HYDRA_FULL_ERROR=1`` all do.
+
+    Args:
+        on_closed_pipe: printed where the reader of the output is gone, as in "... --help | head -1".
     """
     try:
         try:
             yield
         finally:
             _flush()
-    except BrokenPipeError:  # the reader, as in "... --help | head -1", has read enough
+    except BrokenPipeError:
+        if on_closed_pipe is not None:
+            print(f"\nError: {on_closed_pipe}", file=sys.stderr)
         raise SystemExit(128 + 13) from None  # as a program that SIGPIPE ends
     except Exception as error:
         message = _message(error)

@@ -190,7 +190,10 @@ def do_work(command: Command, own_files: Path | None, config: DictConfig) -> Any
     A run of a sweep that fails leaves the reason in its folder, and the others go on.
     """
     run = HydraConfig.get()
-    with report_failure(Path(run.runtime.output_dir)) if run.mode == RunMode.MULTIRUN else plain_errors():
+    closed = "stdout: its reader is gone, and results may be incomplete; redirect the output to a file"
+    with (
+        report_failure(Path(run.runtime.output_dir)) if run.mode == RunMode.MULTIRUN else plain_errors(closed)
+    ):
         import_torch()
         if own_files is not None:
             from sphericalvision.recipes.app.own_files import import_own_files

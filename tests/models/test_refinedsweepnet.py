@@ -7,9 +7,6 @@ import math
 
 import pytest
 import torch
-from safetensors import safe_open
-from safetensors.torch import save_file
-from torch import nn
 
 from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ArgumentError, ShapeError
@@ -18,13 +15,12 @@ from sphericalvision.data.augmentation.fivefold import rotate_fivefold
 from sphericalvision.icosphere import Icosphere, icosphere_neighbors
 from sphericalvision.icosphere.hierarchy import icosphere_vertex_parents
 from sphericalvision.losses import depth_index_huber
-from sphericalvision.models import IcoSweepNet, RefinedSweepNet, pretrained, save_weights
+from sphericalvision.models import IcoSweepNet, RefinedSweepNet, pretrained
 from sphericalvision.models.candidate_refinement import RARE, candidates_of
 from sphericalvision.models.hexunet import HexUNet
 from sphericalvision.models.logit_fusion import FusedLogits
 from sphericalvision.models.refinedsweepnet import FARTHEST
 from sphericalvision.models.tried_hypotheses import two_modes
-from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.sweep import DepthHint, index_from_depth, inverse_depth_from_index
 from sphericalvision.sweep.appearance_at_depth import appearance_at_depth
@@ -340,43 +336,6 @@ def test_unet_keeps_levels_apart_at_first():
     values = torch.rand(2, 4, 162)
     assert torch.equal(HexUNet((4,), blocks=2)(values), values)
     assert HexUNet((4, 6, 8))(values).shape == values.shape
-
-
-def test_weights_without_a_sky_find_none(net, frame, tmp_path):
-    images, rig, seen, _ = frame
-    last = net.refinement.exit
-    with torch.no_grad():
-        last.weight.normal_()
-        last.bias.normal_()
-        last.weight[6], last.bias[6] = 0, RARE
-    expected = net.predict(images, rig, seen)
-    last.weight, last.bias = (
-        nn.Parameter(tensor.detach()[:6].clone()) for tensor in (last.weight, last.bias)
-    )
-    old = save_weights(net, tmp_path / "old.safetensors")
-    checkpoint = {
-        "state_dict": {f"net.{name}": tensor for name, tensor in net.state_dict().items()},
-        "architecture": "refinedsweepnet",
-        "network_hyperparameters": net.hyperparameters,
-    }
-    torch.save(checkpoint, tmp_path / "old.ckpt")
-    for path in (old, tmp_path / "old.ckpt"):
-        read = read_network(path)
-        assert read.refinement.exit.bias.shape == (7,)
-        torch.testing.assert_close(read.predict(images, rig, seen), expected, rtol=0, atol=0)
-
-
-def test_weights_without_layers_for_hints_have_those_of_the_beginning(net, frame, tmp_path):
-    images, rig, seen, true = frame
-    hint = DepthHint(inverse_depth_from_index(true, 16, 0.55), torch.ones_like(true))
-    expected = net.predict(images, rig, seen, hint)
-    path = save_weights(net, tmp_path / "new.safetensors")
-    with safe_open(path, "pt") as file:
-        weights, metadata = {name: file.get_tensor(name) for name in net.state_dict()}, file.metadata()
-    old = {name: tensor for name, tensor in weights.items() if ".hint_" not in name}
-    assert len(weights) - len(old) == 3
-    save_file(old, path, metadata)
-    torch.testing.assert_close(read_network(path).predict(images, rig, seen, hint), expected, rtol=0, atol=0)
 
 
 def test_hints_of_numpy_are_those_in_single_precision(net, frame):

@@ -4,8 +4,8 @@
 The midpoints of a spherical triangle's edges cut it into four spherical triangles along great circles, so
 the containing triangle of level l lies inside the containing triangle of level l - 1. One base face of
 twenty and one choice of four a level find it, for any number of directions at once and without a search tree.
-``TriangleLocator`` does so for whoever fills large tables in parts. It is the door to the fast wing of this package,
-which finds a triangle by a table of cells and a few steps across edges; both give the same but for rounding.
+``TriangleLocator`` does so for whoever fills large tables in parts. Faster bodies, behind ``fast/``, find a triangle by
+a table of cells and a few steps across edges; both give the same but for rounding.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, check_last_dim
 from sphericalvision.geometry.directions import moderate_lengths
 from sphericalvision.icosphere.descent import barycentric_weights, convex, descend
 from sphericalvision.icosphere.fast.triangle_table import (
@@ -26,9 +25,11 @@ from sphericalvision.icosphere.fast.triangle_table import (
 )
 from sphericalvision.icosphere.mesh import icosphere_vertices
 from sphericalvision.icosphere.topology import check_level, icosphere_faces, num_icosphere_vertices
-from sphericalvision.kernels import prefer_fused, uses_reference_kernels
+from sphericalvision.kernels import Operator, prefer_fused
+from sphericalvision.shapes import check_shapes
+from sphericalvision.tables import constant_table
 
-__all__ = ["TriangleLocator", "chunk_size", "fast_wing_open", "locate"]
+__all__ = ["TriangleLocator", "chunk_size", "locate"]
 
 #: Rays at once, which bounds the memory in use.
 CHUNK, CHUNK_ON_DEVICE = 1 << 17, 1 << 22
@@ -46,16 +47,39 @@ def chunk_size(device: torch.device) -> int:
     return max(CHUNK, torch.get_num_threads() << 15) if on_cpu else CHUNK_ON_DEVICE
 
 
-def fast_wing_open() -> bool:
-    """Whether triangles may be found by tables here and now.
+@constant_table
+def _faces(level: int, device: torch.device) -> Tensor:
+    return icosphere_faces(level, device)  # a copy, which is kept here
 
-    Examples:
-        >>> from sphericalvision.kernels import reference_kernels
-        >>> with reference_kernels():
-        ...     fast_wing_open()
-        False
-    """
-    return not uses_reference_kernels()
+
+def _find_by_descent(rays: Tensor, level: int) -> tuple[Tensor, Tensor]:
+    unit = F.normalize(rays.T, dim=-1)
+    triangles = descend(unit, level)
+    return triangles.numbers(level), barycentric_weights(unit, triangles.corners).T
+
+
+def _find_by_cells(rays: Tensor, level: int) -> tuple[Tensor, Tensor]:
+    triangles, shares = find_triangles(rays, triangle_table(level, rays.dtype, rays.device))
+    shares = shares.clamp_(min=0)
+    return triangles, shares.div_(shares.sum(0))
+
+
+def _find_in_few_steps(rays: Tensor, level: int) -> tuple[Tensor, Tensor]:
+    return find_in_few_steps(rays, triangle_table(level, rays.dtype, rays.device))
+
+
+def _weights_by_corners(rays: Tensor, triangles: Tensor, level: int) -> Tensor:
+    vertices = icosphere_vertices(level, torch.float64, rays.device).to(rays.dtype)
+    a, b, c = vertices[_faces(level, rays.device)[triangles]].unbind(1)
+    return barycentric_weights(F.normalize(rays.T, dim=-1), (a, b, c)).T
+
+
+def _weights_by_table(rays: Tensor, triangles: Tensor, level: int) -> Tensor:
+    return convex(coefficients(rays, triangles, triangle_table(level, rays.dtype, rays.device)), 0)
+
+
+_find = Operator(_find_by_descent, cpu=_find_by_cells, fused=_find_in_few_steps)
+_weights = Operator(_weights_by_corners, cpu=_weights_by_table, fused=_weights_by_table)
 
 
 class TriangleLocator:
@@ -89,8 +113,7 @@ class TriangleLocator:
         self.level = check_level(level)
         device = torch.device(device)
         self.chunk_size = chunk_size(device)
-        self._table = triangle_table(level, dtype, device) if fast_wing_open() else None
-        self.faces = icosphere_faces(level, device) if self._table is None else self._table.ids
+        self.faces = _faces(level, device)
 
     def find(self, rays: Float[Tensor, "3 m"]) -> tuple[Int[Tensor, " m"], Float[Tensor, "3 m"]]:
         """Return the numbers ``(m,)`` of the triangles that rays ``(3, m)`` pierce, and the weights ``(3, m)`` there.
@@ -99,25 +122,14 @@ class TriangleLocator:
         ``weights`` have.
         """
         with torch.no_grad():
-            if self._table is None:
-                unit = F.normalize(rays.T, dim=-1)
-                descent = descend(unit, self.level)
-                return descent.numbers(self.level), barycentric_weights(unit, descent.corners).T
-            if prefer_fused(rays.device):
-                return find_in_few_steps(rays, self._table)
-            triangles, shares = find_triangles(rays, self._table)
-            shares = shares.clamp_(min=0)
-            return triangles, shares.div_(shares.sum(0))
+            return _find(rays, self.level)
 
     def weights(self, rays: Float[Tensor, "3 m"], triangles: Int[Tensor, " m"]) -> Float[Tensor, "3 m"]:
         """Return the weights ``(3, m)`` of the corners of triangles ``(m,)``, differentiable in the rays ``(3, m)``."""
-        if self._table is None:
-            vertices = icosphere_vertices(self.level, torch.float64, rays.device).to(rays.dtype)
-            a, b, c = vertices[self.faces[triangles]].unbind(1)
-            return barycentric_weights(F.normalize(rays.T, dim=-1), (a, b, c)).T
-        return convex(coefficients(rays, triangles, self._table), 0)
+        return _weights(rays, triangles, self.level)
 
 
+@check_shapes
 def locate(
     directions: Float[Tensor, "*batch 3"], level: int
 ) -> tuple[Int[Tensor, "*batch 3"], Float[Tensor, "*batch 3"]]:
@@ -149,39 +161,37 @@ def locate(
         >>> weights.sum(-1)
         tensor([1., 1.])
     """
-    check_last_dim("directions", directions, 3)
-    if not directions.is_floating_point():
-        raise ArgumentError(
-            f"directions: expected a floating point tensor, got {directions.dtype}; use .float()"
-        )
     check_level(level)
-    flat = moderate_lengths(directions.reshape(-1, 3))
-    # A table of all triangles pays for many directions; fewer of them descend.
-    if len(flat) >= 2 * num_icosphere_vertices(level) and fast_wing_open():
-        ids, weights = _locate_in_chunks(flat, level)
-    else:
-        unit = F.normalize(flat, dim=-1)
-        with torch.no_grad():
-            triangles = descend(unit.detach(), level)
-            ids = triangles.vertex_ids(level)
-        weights = barycentric_weights(unit, triangles.corners)
+    ids, weights = _locate(moderate_lengths(directions.reshape(-1, 3)), level)
     return ids.view(directions.shape), weights.view(directions.shape).to(directions.dtype)
 
 
+def _locate_by_descent(directions: Tensor, level: int) -> tuple[Tensor, Tensor]:
+    unit = F.normalize(directions, dim=-1)
+    with torch.no_grad():
+        triangles = descend(unit.detach(), level)
+        ids = triangles.vertex_ids(level)
+    return ids, barycentric_weights(unit, triangles.corners)
+
+
 def _locate_in_chunks(directions: Tensor, level: int) -> tuple[Tensor, Tensor]:
-    """``locate`` for directions ``(M, 3)`` by a ``TriangleLocator``."""
+    """Locate many directions ``(M, 3)`` by a ``TriangleLocator``, whose table does not pay for few."""
+    if len(directions) < 2 * num_icosphere_vertices(level):
+        return NotImplemented
     locator = TriangleLocator(level, directions.dtype, directions.device)
     triangles = torch.empty(len(directions), dtype=torch.int32, device=directions.device)
     weights = torch.empty_like(directions)
     with torch.no_grad():
         for start in range(0, len(directions), locator.chunk_size):
-            part = slice(start, start + locator.chunk_size)
-            triangles[part], found = locator.find(
-                torch.stack(directions[part].unbind(1))
-            )  # columns, contiguous
-            for corner, weight in enumerate(found):
-                weights[part, corner] = weight
+            chunk = slice(start, start + locator.chunk_size)
+            columns = torch.stack(directions[chunk].unbind(1))  # contiguous
+            triangles[chunk], chunk_weights = locator.find(columns)
+            for corner, weight in enumerate(chunk_weights):
+                weights[chunk, corner] = weight
     ids = locator.faces.index_select(0, triangles)
     if directions.requires_grad and torch.is_grad_enabled():
         weights = locator.weights(directions.T, triangles).T.contiguous()
     return ids, weights
+
+
+_locate = Operator(_locate_by_descent, cpu=_locate_in_chunks, fused=_locate_in_chunks)

@@ -12,7 +12,9 @@ from torch import Tensor
 
 from sphericalvision.geometry.lookup import weighted_rows
 from sphericalvision.icosphere import TriangleLocator, icosphere_vertices, level_from_num_vertices
-from sphericalvision.sweep.visibility import check_seen, one_at_a_time
+from sphericalvision.kernels import Operator
+from sphericalvision.shapes import check_shapes
+from sphericalvision.sweep.visibility import check_seen
 
 __all__ = ["AppearanceAtDepth", "appearance_at_depth"]
 
@@ -31,6 +33,7 @@ class AppearanceAtDepth(NamedTuple):
     cameras: Float[Tensor, "B K V"]
 
 
+@check_shapes
 @torch.no_grad()
 def appearance_at_depth(
     images: Float[Tensor, "B n C V_image"],
@@ -57,20 +60,27 @@ def appearance_at_depth(
         level_from_num_vertices(inverse_depths.shape[-1]), offsets.dtype, images.device
     ).T.contiguous()
     locator = TriangleLocator(level_from_num_vertices(images.shape[-1]), offsets.dtype, images.device)
-    shown = check_seen(seen, images).to(images)[:, :, None]
-    rows = torch.cat((images * shown, shown), 2).transpose(2, 3).contiguous()  # colours beside each other
-    if not one_at_a_time(images):
-        return _all_at_once(rows, locator, vertices, offsets, inverse_depths)
-    chunk = max(1, locator.chunk_size // inverse_depths.shape[1])
-    samples = [
-        [
-            _seen_by_all(sample, locator, *part, offset)
-            for part in zip(vertices.split(chunk, 1), inverse_depth.split(chunk, 1), strict=True)
+    weight = check_seen(seen, images).to(images)[:, :, None]
+    rows = torch.cat((images * weight, weight), 2).transpose(2, 3).contiguous()  # colours next to each other
+    return AppearanceAtDepth(*_appearance(rows, locator, vertices, offsets, inverse_depths))
+
+
+def _by_sample(
+    rows: Tensor, locator: TriangleLocator, vertices: Tensor, offsets: Tensor, inverse_depths: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Sample by sample and some vertices at once, so few that they stay in the cache of a CPU."""
+    if not len(rows):
+        return NotImplemented
+    size = max(1, locator.chunk_size // inverse_depths.shape[1])
+    samples = []
+    for sample, offset, inverse_depth in zip(rows, offsets, inverse_depths, strict=True):
+        chunks = [
+            _seen_by_all(sample, locator, *chunk, offset)
+            for chunk in zip(vertices.split(size, 1), inverse_depth.split(size, 1), strict=True)
         ]
-        for sample, offset, inverse_depth in zip(rows, offsets, inverse_depths, strict=True)
-    ]
-    parts = [[torch.cat(values, -1) for values in zip(*chunks, strict=True)] for chunks in samples]
-    return AppearanceAtDepth(*(torch.stack(values) for values in zip(*parts, strict=True)))
+        samples.append([torch.cat(values, -1) for values in zip(*chunks, strict=True)])
+    color, deviation, cameras = (torch.stack(values) for values in zip(*samples, strict=True))
+    return color, deviation, cameras
 
 
 def _seen_by_all(
@@ -98,8 +108,8 @@ def _seen_by_all(
 
 def _all_at_once(
     rows: Tensor, locator: TriangleLocator, vertices: Tensor, offsets: Tensor, inverse_depths: Tensor
-) -> AppearanceAtDepth:
-    """The same of images ``(B, n, V_image, C)`` without a loop."""
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Colours ``(B, K, C, V)``, deviation and cameras ``(B, K, V)`` of images ``(B, n, V_image, C)`` without a loop."""
     batch, cameras, number, channels = rows.shape
     offset = offsets.permute(2, 0, 1)[..., None, None]
     rays = vertices[:, None, None, None] + offset * inverse_depths[:, None]  # (3, B, n, K, V)
@@ -114,4 +124,7 @@ def _all_at_once(
     count = weights.sum(1)
     mean = (weights * colors).sum(1) / count.clamp(min=1)
     far = (weights * (colors - mean[:, None]).abs()).sum(1) / count.clamp(min=1)
-    return AppearanceAtDepth(mean.mT, far.mean(-1), count.squeeze(-1))
+    return mean.mT, far.mean(-1), count.squeeze(-1)
+
+
+_appearance = Operator(_all_at_once, cpu=_by_sample, fused=_all_at_once)

@@ -17,12 +17,15 @@ from jaxtyping import Bool, Float, Num
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.geometry.directions import in_single_precision
 from sphericalvision.icosphere import level_from_num_vertices
 from sphericalvision.icosphere.topology import check_level
+from sphericalvision.kernels import Operator
+from sphericalvision.shapes import check_shapes
 from sphericalvision.sweep.ring_mean import ids_of_coarser_level, ring_mean
 from sphericalvision.sweep.sphere_sweep import sphere_sweep
 from sphericalvision.sweep.sweep_tables import SweepTables
-from sphericalvision.sweep.visibility import check_seen, images_in_single_precision, one_at_a_time
+from sphericalvision.sweep.visibility import check_seen
 
 __all__ = ["LEAST_SHARE", "NOISE", "correlation_evidence", "mean_of_better_half", "window_correlations"]
 
@@ -32,6 +35,7 @@ NOISE = 0.01
 LEAST_SHARE = 0.5
 
 
+@check_shapes
 def correlation_evidence(
     images: Float[Tensor, "B n C V_image"],
     tables: SweepTables,
@@ -78,68 +82,74 @@ def correlation_evidence(
         >>> mean.shape, bool((best >= mean).all()), cameras[0].unique().tolist()  # at infinity
         (torch.Size([8, 162]), True, [2.0, 3.0, 4.0])
     """
-    if images.ndim != 4 or images.shape[1] < 2:
+    if images.shape[1] < 2:
         raise ShapeError(
-            f"images: expected shape (B, n, C, V) of two or more cameras, got {tuple(images.shape)}"
+            f"images: expected two or more cameras, (B, n, C, V), got shape {tuple(images.shape)}"
         )
-    images = images_in_single_precision("images", images)
+    images = in_single_precision(images)
     batch = images.shape[0]
     table_level = level_from_num_vertices(tables.ids.shape[-3])
     level = table_level if level is None else check_level(level)
     if level > table_level:
         raise ArgumentError(f"level: expected 0 to {table_level}, the level of the tables, got {level}")
-    shared = tables.ids.ndim == 4
-    if not shared and len(tables.ids) != batch:
+    if tables.ids.ndim == 5 and len(tables.ids) != batch:
         raise ShapeError(f"tables: expected those of {batch} rigs or of one for all, got {len(tables.ids)}")
-    known = torch.ones_like(images[:, :, 0]) if seen is None else check_seen(seen, images).to(images)
-    if not one_at_a_time(images):
-        return _evidence(images, known, tables, level, noise)
-    return torch.cat(
-        [
-            _evidence(
-                images[sample : sample + 1],
-                known[sample : sample + 1],
-                tables if shared else SweepTables(*(table[sample : sample + 1] for table in tables)),
-                level,
-                noise,
-            )
-            for sample in range(
-                batch
-            )  # one after the other, so that what belongs together stays in the cache
-        ]
-    )
+    valid = torch.ones_like(images[:, :, 0]) if seen is None else check_seen(seen, images).to(images)
+    return _evidence(images, valid, tables, level, noise)
 
 
-def _evidence(images: Tensor, known: Tensor, tables: SweepTables, level: int, noise: float) -> Tensor:
-    """Evidence ``(B, 3, N, V)`` of images ``(B, n, C, V_image)``, known where ``(B, n, V_image)`` is 1.
+def _evidence_at_once(images: Tensor, valid: Tensor, tables: SweepTables, level: int, noise: float) -> Tensor:
+    """Evidence ``(B, 3, N, V)`` of images ``(B, n, C, V_image)``, valid where ``(B, n, V_image)`` is 1.
 
     Samples lie side by side as hypotheses do.
     """
-    colors, seen = _sweep(images, known, tables)
+    colors, seen = _sweep(images, valid, tables)
     correlations = window_correlations(colors, seen, level, noise)
     seen = seen[ids_of_coarser_level(level_from_num_vertices(len(seen)), level, seen.device)]
-    both = [seen[:, a] * seen[:, b] for a, b in _pairs(seen.shape[1])]
-    count = torch.stack(both).sum(0)
-    mean = torch.stack([c * weight for c, weight in zip(correlations, both, strict=True)]).sum(0)
-    ranked = [c.clamp(0, 1).masked_fill(b == 0, -1.0) for c, b in zip(correlations, both, strict=True)]
+    pairs = [seen[:, a] * seen[:, b] for a, b in _pairs(seen.shape[1])]
+    count = torch.stack(pairs).sum(0)
+    mean = torch.stack([c * weight for c, weight in zip(correlations, pairs, strict=True)]).sum(0)
+    ranked = [
+        c.clamp(0, 1).masked_fill(weight == 0, -1.0) for c, weight in zip(correlations, pairs, strict=True)
+    ]
     best = mean_of_better_half(ranked, count)
     evidence = torch.stack((mean / count.clamp(min=1), best, seen.sum(1)))
     return evidence.unflatten(-1, (-1, tables.ids.shape[-4])).permute(2, 0, 3, 1)
 
 
-def _sweep(images: Tensor, known: Tensor, tables: SweepTables) -> tuple[Tensor, Tensor]:
+def _evidence_by_sample(
+    images: Tensor, valid: Tensor, tables: SweepTables, level: int, noise: float
+) -> Tensor:
+    """One sample after the other, so that what belongs together stays in the cache of a CPU."""
+    if not len(images):
+        return NotImplemented
+    shared = tables.ids.ndim == 4
+    samples = [slice(sample, sample + 1) for sample in range(len(images))]
+    rigs = [tables if shared else SweepTables(*(table[sample] for table in tables)) for sample in samples]
+    return torch.cat(
+        [
+            _evidence_at_once(images[sample], valid[sample], rig, level, noise)
+            for sample, rig in zip(samples, rigs, strict=True)
+        ]
+    )
+
+
+_evidence = Operator(_evidence_at_once, cpu=_evidence_by_sample, fused=_evidence_at_once)
+
+
+def _sweep(images: Tensor, valid: Tensor, tables: SweepTables) -> tuple[Tensor, Tensor]:
     """What cameras see: colours ``(V, n, C, B N)``, 0 where they see nothing, where they do ``(V, n, B N)``, 0 or 1.
 
-    Colours are less their mean over the image, on which no correlation depends, and which would cost digits. What is
-    known is swept with them: its share tells how much of what is interpolated there is to be seen, and the colours are
-    divided by it, so that a view ends where it does and nothing from beyond its limits leaks in.
+    The mean over the image is taken off the colours: no correlation depends on it, and it would cost digits. Validity
+    is swept with them: it is the fraction of what is interpolated that is to be seen, and the colours are divided by it,
+    so that a view ends where it does and nothing from outside leaks in.
 
     References:
         Knutsson and Westin (1993), "Normalized and differential convolution".
     """
-    known = known[:, :, None]
-    mean = (images * known).sum(-1, keepdim=True) / known.sum(-1, keepdim=True).clamp(min=1)
-    values = sphere_sweep(torch.cat(((images - mean) * known, known), 2), tables).values
+    valid = valid[:, :, None]
+    mean = (images * valid).sum(-1, keepdim=True) / valid.sum(-1, keepdim=True).clamp(min=1)
+    values = sphere_sweep(torch.cat(((images - mean) * valid, valid), 2), tables).values
     # (B, n, C + 1, N, V) to vertices first: a window of seven vertices is then seven contiguous rows of all the rest.
     planes = values.permute(4, 1, 2, 0, 3).flatten(3).contiguous()
     share = planes[:, :, -1]

@@ -9,9 +9,11 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError
+from sphericalvision.geometry.directions import in_single_precision
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.icosphere.topology import check_level
+from sphericalvision.shapes import check_shapes
 from sphericalvision.sweep.appearance import local_appearance
 from sphericalvision.sweep.correlation import LEAST_SHARE
 from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hypotheses
@@ -19,7 +21,7 @@ from sphericalvision.sweep.regression import DepthEstimate
 from sphericalvision.sweep.ring_mean import ids_of_coarser_level
 from sphericalvision.sweep.sphere_sweep import sphere_sweep
 from sphericalvision.sweep.sweep_tables import sweep_tables
-from sphericalvision.sweep.visibility import check_seen, images_in_single_precision, seen_in_view
+from sphericalvision.sweep.visibility import check_seen, seen_in_view
 from sphericalvision.sweep.winner import winner_takes_all
 
 if TYPE_CHECKING:
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["deviation_cost", "photo_consistency"]
 
 
+@check_shapes
 def photo_consistency(
     sphere_images: Float[Tensor, "B n 3 V_image"],
     rig: CameraRig,
@@ -76,9 +79,7 @@ def photo_consistency(
         >>> index.shape
         torch.Size([1, 42])
     """
-    if sphere_images.ndim != 4 or sphere_images.shape[2] != 3:
-        raise ShapeError(f"sphere_images: expected shape (B, n, 3, V), got {tuple(sphere_images.shape)}")
-    sphere_images = images_in_single_precision("sphere_images", sphere_images)
+    sphere_images = in_single_precision(sphere_images)
     check_hypotheses(num_hypotheses, min_depth)
     image_level = level_from_num_vertices(sphere_images.shape[-1])
     level = max(image_level - 2, 0) if level is None else check_level(level)

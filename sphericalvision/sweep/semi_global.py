@@ -10,8 +10,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.geometry.directions import in_single_precision
 from sphericalvision.icosphere import icosphere_vertices, level_from_num_vertices
 from sphericalvision.icosphere.topology import check_level
+from sphericalvision.shapes import check_shapes
 from sphericalvision.sweep.confidence import sweep_confidence
 from sphericalvision.sweep.correlation import LEAST_SHARE, NOISE, correlation_evidence
 from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hypotheses
@@ -20,7 +22,7 @@ from sphericalvision.sweep.ring_mean import ids_of_coarser_level
 from sphericalvision.sweep.smoothing import semi_global_smoothing
 from sphericalvision.sweep.sphere_sweep import sphere_sweep
 from sphericalvision.sweep.sweep_tables import SweepTables, sweep_tables
-from sphericalvision.sweep.visibility import check_seen, images_in_single_precision, seen_in_view
+from sphericalvision.sweep.visibility import check_seen, seen_in_view
 from sphericalvision.sweep.winner import at_nearest_hypothesis, winner_takes_all
 
 if TYPE_CHECKING:
@@ -65,6 +67,7 @@ class SmoothedCosts(NamedTuple):
 
 
 @torch.no_grad()
+@check_shapes
 def semi_global_sweep(
     sphere_images: Float[Tensor, "B n 3 V_image"],
     rig: CameraRig | SemiGlobalTables,
@@ -126,12 +129,11 @@ def semi_global_sweep(
         >>> index.shape
         torch.Size([1, 42])
     """
-    if sphere_images.ndim != 4 or sphere_images.shape[2] != 3 or sphere_images.shape[1] < 2:
+    if sphere_images.shape[1] < 2:
         raise ShapeError(
-            "sphere_images: expected shape (B, n, 3, V) of two or more cameras, got "
-            f"{tuple(sphere_images.shape)}"
+            f"sphere_images: expected two or more cameras, (B, n, 3, V), got shape {tuple(sphere_images.shape)}"
         )
-    sphere_images = images_in_single_precision("sphere_images", sphere_images)
+    sphere_images = in_single_precision(sphere_images)
     check_hypotheses(num_hypotheses, min_depth)
     image_level = level_from_num_vertices(sphere_images.shape[-1])
     level = max(image_level - 2, 0) if level is None else check_level(level)
@@ -204,6 +206,7 @@ def check_tables(seen: Bool[Tensor, "*B n V_tables"], images: Float[Tensor, "B n
         )
 
 
+@check_shapes
 def semi_global_costs(
     images: Float[Tensor, "B n C V_image"],
     tables: SweepTables,
@@ -234,7 +237,7 @@ def semi_global_costs(
         >>> cost.shape
         torch.Size([1, 8, 162])
     """
-    images = images_in_single_precision("images", images)
+    images = in_single_precision(images)
     evidence = correlation_evidence(images, tables, seen, noise=noise)
     _, best, cameras = evidence.unbind(1)
     known = cameras >= 2

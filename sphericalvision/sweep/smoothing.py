@@ -3,22 +3,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.means_by_id import MeansById, mean_by_id, means_by_id
 from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.lines import icosphere_lines
-from sphericalvision.kernels import prefer_fused, use_triton
+from sphericalvision.kernels import Operator
+from sphericalvision.shapes import check_shapes
 from sphericalvision.tables import constant_table
 
 __all__ = ["SmoothingPaths", "semi_global_smoothing", "smoothing_paths"]
 
 
+@check_shapes
 def semi_global_smoothing(
     cost: Float[Tensor, "B N V"],
     small_penalty: float,
@@ -61,8 +64,6 @@ def semi_global_smoothing(
         >>> bool((alone == 3).float().mean() < 0.5), bool((smooth == 3).float().mean() > 0.99)
         (True, True)
     """
-    if cost.ndim != 3:
-        raise ShapeError(f"cost: expected shape (B, N, V), got {tuple(cost.shape)}")
     level = level_from_num_vertices(cost.shape[-1])
     if not 0 <= small_penalty <= large_penalty:
         raise ArgumentError(
@@ -70,54 +71,85 @@ def semi_global_smoothing(
         )
     if not contrast > 0:
         raise ArgumentError(f"contrast: expected a positive number, got {contrast}")
-    if guide is not None and (guide.ndim != 3 or guide.shape[::2] != cost.shape[::2]):
-        expected = f"({cost.shape[0]}, C, {cost.shape[2]})"
-        raise ShapeError(f"guide: expected shape {expected}, got {tuple(guide.shape)}")
-    planes = cost.transpose(0, 1)  # (N, B, V): a step compares whole planes of all paths at once
     paths = smoothing_paths(level, lead, cost.device)
     jumps = _jump_penalties(guide, paths, small_penalty, large_penalty, contrast)
-    if use_triton(cost, jumps) and cost.dtype == jumps.dtype == torch.float32:
-        from sphericalvision.sweep.smoothing_triton import path_costs_kernel  # Triton is not everywhere
+    return _path_means(cost, jumps, small_penalty, paths)
 
-        arrived = path_costs_kernel(cost, paths.ids, jumps, small_penalty, paths.first)
-        return mean_by_id(arrived.flatten(2), paths.arrivals).transpose(0, 1)
+
+def _means_by_adding(cost: Tensor, jumps: Tensor, small_penalty: float, paths: SmoothingPaths) -> Tensor:
+    """Mean ``(B, N, V)`` over the paths that come to a vertex, summed up one line after the other.
+
+    On a CPU that costs a fraction of lookups in as many planes as there are hypotheses.
+    """
+    results = _along_paths(cost, jumps, small_penalty, paths, _extended)
+    total = cost.new_zeros(cost.transpose(0, 1).shape)
+    for lines in paths.kinds:
+        arrived = torch.stack([result[..., lines] for result in results], 2).flatten(2)
+        total = total.index_add(2, paths.ids[paths.first :, lines].flatten(), arrived)
+    return (total / paths.counts.to(total)).transpose(0, 1)
+
+
+def _means_by_lookups(cost: Tensor, jumps: Tensor, small_penalty: float, paths: SmoothingPaths) -> Tensor:
+    results = _along_paths(cost, jumps, small_penalty, paths, _extended_in_few_steps)
+    return mean_by_id(torch.stack(results, 2).flatten(2), paths.arrivals).transpose(0, 1)
+
+
+def _means_in_triton(cost: Tensor, jumps: Tensor, small_penalty: float, paths: SmoothingPaths) -> Tensor:
+    if cost.dtype != torch.float32 or jumps.dtype != torch.float32:
+        return NotImplemented
+    from sphericalvision.sweep.smoothing_triton import path_costs_kernel  # Triton is not everywhere
+
+    arrived = path_costs_kernel(cost, paths.ids, jumps, small_penalty, paths.first)
+    return mean_by_id(arrived.flatten(2), paths.arrivals).transpose(0, 1)
+
+
+_path_means = Operator(_means_by_adding, triton=_means_in_triton, fused=_means_by_lookups)
+
+
+def _along_paths(
+    cost: Tensor,
+    jumps: Tensor,
+    small_penalty: float,
+    paths: SmoothingPaths,
+    extend: Callable[[Tensor, Tensor, float, Tensor], Tensor],
+) -> list[Tensor]:
+    """Costs ``(N, B, P)`` of all P paths at each step whose results count."""
+    planes = cost.transpose(0, 1)  # (N, B, V): a step compares whole planes of all paths at once
     # A step more than there are, or planes lie multiples of 4096 bytes apart, where they take each other's cache lines.
-    apart = torch.cat((paths.ids, paths.ids[:1]))
-    *steps, _ = planes.index_select(2, apart.flatten()).unflatten(2, tuple(apart.shape)).unbind(2)
+    ids = torch.cat((paths.ids, paths.ids[:1]))
+    *steps, _ = planes.index_select(2, ids.flatten()).unflatten(2, tuple(ids.shape)).unbind(2)
     reached = [steps[0]]
     for step, jump in zip(steps[1:], jumps.unbind(), strict=True):
-        reached.append(_extended(reached[-1], step, small_penalty, jump))
-    results = reached[paths.first :]
-    if prefer_fused(cost.device):
-        return mean_by_id(torch.stack(results, 2).flatten(2), paths.arrivals).transpose(0, 1)
-    # On a CPU one result after the other costs a fraction of lookups in as many planes as there are hypotheses.
-    total = torch.zeros_like(planes)
-    for kind in paths.kinds:
-        arrived = torch.stack([result[..., kind] for result in results], 2).flatten(2)
-        total = total.index_add(2, paths.ids[paths.first :, kind].flatten(), arrived)
-    return (total / paths.counts.to(total)).transpose(0, 1)
+        reached.append(extend(reached[-1], step, small_penalty, jump))
+    return reached[paths.first :]
 
 
 def _extended(reached: Tensor, cost: Tensor, small_penalty: float, jump: Tensor) -> Tensor:
     """Costs ``(N, B, P)`` of P paths extended by a vertex of costs ``(N, B, P)``."""
     best = reached.amin(0)
-    if prefer_fused(cost.device):  # the same but for rounding, by an operator less for each of many steps
-        return cost + _least(reached - best, small_penalty, jump)
     return cost + (_least(reached, small_penalty, best + jump) - best)
+
+
+def _extended_in_few_steps(reached: Tensor, cost: Tensor, small_penalty: float, jump: Tensor) -> Tensor:
+    """The same but for rounding, by an operator less for each of many steps."""
+    return cost + _least(reached - reached.amin(0), small_penalty, jump)
 
 
 def _least(reached: Tensor, small_penalty: float, jump: Tensor) -> Tensor:
     """Least costs ``(N, B, P)`` of coming to a hypothesis from itself, from one beside it, or by a jump."""
-    # At the ends a hypothesis stands beside itself, which costs it no less.
+    # At the ends a hypothesis is its own neighbour, which costs it no less.
     ends = torch.cat((reached[:1], reached, reached[-1:]))
-    beside = torch.minimum(ends[:-2], ends[2:]) + small_penalty
-    return torch.minimum(torch.minimum(reached, jump), beside)
+    neighbor = torch.minimum(ends[:-2], ends[2:]) + small_penalty
+    return torch.minimum(torch.minimum(reached, jump), neighbor)
 
 
 def _jump_penalties(
     guide: Tensor | None, paths: SmoothingPaths, small_penalty: float, large_penalty: float, contrast: float
 ) -> Tensor:
-    """P2 of each step, ``(steps - 1, 1, P)``, or ``(steps - 1, B, P)`` of a guide; 0 up to where a path begins."""
+    """P2 of each step, ``(steps - 1, 1, P)``, or ``(steps - 1, B, P)`` of a guide.
+
+    Zero before a path starts, so that its history is forgotten.
+    """
     if guide is None:
         return (paths.begun * large_penalty).unsqueeze(1)
     colors = guide.index_select(2, paths.ids.flatten()).unflatten(2, tuple(paths.ids.shape))
@@ -157,12 +189,12 @@ def smoothing_paths(level: int, lead: float, device: torch.device) -> SmoothingP
     if not 0 <= lead <= 4:
         raise ArgumentError(f"lead: expected 0 to 4 edges of the icosahedron, got {lead}")
     size = 2**level
-    ahead = round(lead * size)
+    lead_steps = round(lead * size)
     loops, edges = icosphere_lines(level, device)
-    columns = torch.arange(-ahead, size, device=device)[:, None] + torch.arange(5, device=device) * size
+    columns = torch.arange(-lead_steps, size, device=device)[:, None] + torch.arange(5, device=device) * size
     # Backwards, a fifth starts at the same edge of the icosahedron.
-    both = torch.cat((loops[:, columns % (5 * size)], loops[:, -columns % (5 * size)]))
-    kinds = both.transpose(0, 1).flatten(1), torch.cat((edges, edges.flip(1))).T
+    fifths = torch.cat((loops[:, columns % (5 * size)], loops[:, -columns % (5 * size)]))
+    kinds = fifths.transpose(0, 1).flatten(1), torch.cat((edges, edges.flip(1))).T
     length = max(map(len, kinds))
     waits = [length - len(ids) for ids in kinds]
     ids = torch.cat(

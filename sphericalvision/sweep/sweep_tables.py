@@ -15,7 +15,7 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import check_type
 from sphericalvision.icosphere import TriangleLocator
-from sphericalvision.kernels import prefer_fused
+from sphericalvision.kernels import Operator
 
 __all__ = ["SweepTables", "sweep_tables"]
 
@@ -95,75 +95,136 @@ def sweep_tables(
     offsets = center[..., None, :] - poses[..., :3, 3]
     axes, limits = axes.detach(), _limits(max_angles.detach())
     locator = TriangleLocator(feature_level, poses.dtype, poses.device)
-    points, inverse_depths = directions.to(poses), inverse_depths.to(poses)
     batch = poses.shape[:-3]
     # A point in one camera has nothing to do with other cameras: those of all rigs are as good as those of one.
-    tables = _tables_of_one_rig(
-        points, inverse_depths, offsets.reshape(-1, 3), axes.reshape(-1, 3), limits.reshape(-1), locator
+    points = _points(
+        directions.to(poses),
+        inverse_depths.to(poses),
+        offsets.reshape(-1, 3),
+        axes.reshape(-1, 3),
+        limits.reshape(-1),
     )
-    if not batch:
-        return tables
-    return SweepTables(*(_by_rig(part, batch) for part in tables))
+    if points.directions.is_meta:  # where nobody knows what is in view
+        tables = _empty_tables(points)
+    elif torch.is_grad_enabled() and any(x.requires_grad for x in points):
+        tables, triangles = _locate_seen(points, locator)
+        tables = tables._replace(weights=_differentiable_weights(points, tables.seen, triangles, locator))
+    else:
+        tables, _ = _locate(points, locator)
+    return SweepTables(*(_by_rig(table, batch) for table in tables)) if batch else tables
 
 
-def _by_rig(part: Tensor, batch: torch.Size) -> Tensor:
+def _by_rig(table: Tensor, batch: torch.Size) -> Tensor:
     """``(*batch, N, V, n, *)`` of a table ``(N, V, *batch * n, *)``."""
     count = len(batch)
-    return part.unflatten(2, (*batch, -1)).movedim((0, 1), (count, count + 1)).contiguous()
+    return table.unflatten(2, (*batch, -1)).movedim((0, 1), (count, count + 1)).contiguous()
 
 
-def _tables_of_one_rig(
-    points: Tensor,
-    inverse_depths: Tensor,
-    offsets: Tensor,
-    axes: Tensor,
-    limits: Tensor,
-    locator: TriangleLocator,
-) -> SweepTables:
-    """Tables of directions ``(V, 3)`` and n cameras by offset ``(n, 3)``, axis ``(n, 3)`` and limit ``(n,)``."""
-    shape = len(inverse_depths), len(points), len(offsets)
-    # Coordinates come first, (3, vertices, cameras), so that every step of the arithmetic runs over contiguous memory.
-    # Written out for every vertex and camera: to repeat so few numbers as there are cameras is slow.
-    points, offsets, axes = (
-        vectors.expand(3, *shape[1:]).contiguous()
-        for vectors in (points.T[:, :, None], offsets.T[:, None], axes.T[:, None])
+class _Points(NamedTuple):
+    """Points of a sweep as n cameras see them.
+
+    Coordinates come first, so that every step of the arithmetic runs over contiguous memory. They are written out for
+    every vertex and camera: to repeat so few numbers as there are cameras is slow.
+    """
+
+    directions: Tensor  # (3, V, n)
+    inverse_depths: Tensor  # (N, 1, 1)
+    offsets: Tensor  # (3, V, n)
+    axes: Tensor  # (3, V, n)
+    limits: Tensor  # (V, n)
+
+    def rays(self, hypotheses: slice, vertices: slice) -> Tensor:
+        """Rays ``(3, h, v, n)`` from the cameras to a block of the points."""
+        offset = self.inverse_depths[hypotheses] * self.offsets[:, None, vertices]
+        return self.directions[:, None, vertices] + offset
+
+    def blocks(self, size: int) -> Iterator[tuple[slice, slice]]:
+        """Hypotheses and vertices of about ``size`` entries at once, which follow each other in memory.
+
+        Either all vertices of some hypotheses or some vertices of one: such a block of a table is a view without gaps,
+        into which results are written directly, and what lies between points and results stays in the processor's
+        cache.
+        """
+        num_vertices, num_cameras = self.limits.shape
+        hypotheses = max(1, size // (num_vertices * num_cameras))
+        vertices = num_vertices if hypotheses > 1 else max(1, min(num_vertices, size // num_cameras))
+        for hypothesis in range(0, len(self.inverse_depths), hypotheses):
+            for vertex in range(0, num_vertices, vertices):
+                yield slice(hypothesis, hypothesis + hypotheses), slice(vertex, vertex + vertices)
+
+
+def _points(
+    directions: Tensor, inverse_depths: Tensor, offsets: Tensor, axes: Tensor, limits: Tensor
+) -> _Points:
+    """Write directions ``(V, 3)`` and offsets, axes ``(n, 3)`` and limits ``(n,)`` of n cameras out for all pairs."""
+    shape = len(directions), len(offsets)
+    directions, offsets, axes = (
+        vectors.expand(3, *shape).contiguous()
+        for vectors in (directions.T[:, :, None], offsets.T[:, None], axes.T[:, None])
     )
-    limits = limits.expand(shape[1:]).contiguous()
-    inverse_depths = inverse_depths[:, None, None]
-    ids = torch.empty(*shape, 3, dtype=torch.long, device=points.device)
-    mask = torch.empty(shape, dtype=torch.bool, device=points.device)
-    weights, all_found = points.new_zeros(*shape, 3), []
-    if points.is_meta:  # where nobody knows what is in view
-        return SweepTables(ids, weights, mask)
+    return _Points(
+        directions, inverse_depths[:, None, None], offsets, axes, limits.expand(shape).contiguous()
+    )
+
+
+def _empty_tables(points: _Points) -> SweepTables:
+    shape = len(points.inverse_depths), *points.limits.shape
+    return SweepTables(
+        points.limits.new_empty((*shape, 3), dtype=torch.long),
+        points.limits.new_zeros(*shape, 3),
+        points.limits.new_empty(shape, dtype=torch.bool),
+    )
+
+
+@torch.no_grad()
+def _locate_seen(points: _Points, locator: TriangleLocator) -> tuple[SweepTables, Tensor]:
+    """Locate the points in view alone: the weights of others are zero, and no NaN may reach a gradient.
+
+    Returned as well are the triangles of the points in view, one after the other.
+    """
+    tables, triangles = _empty_tables(points), []
     corners = F.pad(locator.faces, (0, 0, 1, 0))  # the first row is for what is not in view
-    differentiable = torch.is_grad_enabled() and any(
-        values.requires_grad for values in (points, inverse_depths, offsets)
-    )
-    at_once = prefer_fused(points.device) and not differentiable
-    for hypotheses, vertices in _blocks(*shape, locator.chunk_size):
-        with torch.no_grad():
-            block = hypotheses, vertices
-            rays = points[:, None, vertices] + inverse_depths[hypotheses] * offsets[:, None, vertices]
-            _in_view(rays, axes[:, vertices], limits[vertices], out=mask[block])
-            if at_once:  # a device is not asked how many are in view
-                found, shares = locator.find(rays.flatten(1))
-                shown = mask[block].flatten()
-                torch.index_select(corners, 0, (found + 1) * shown, out=ids[block].view(-1, 3))
-                weights[block] = shares.T.where(shown[:, None], 0.0).view_as(weights[block])
-                continue
-            # Only points in view are located: the weights of others are zero, and no NaN may reach a gradient.
-            seen = mask[block].flatten().nonzero()[:, 0]
-            found, shares = locator.find(rays.flatten(1).index_select(1, seen))
-            rows = found.new_zeros(mask[block].numel()).index_copy_(0, seen, found + 1)
-            torch.index_select(corners, 0, rows, out=ids[block].view(-1, 3))
-            weights[block].view(-1, 3).index_copy_(0, seen, shares.T)
-            all_found.append(found)
-    if differentiable:
-        seen = mask.flatten().nonzero()[:, 0]
-        rays = (points[:, None] + inverse_depths * offsets[:, None]).flatten(1).index_select(1, seen)
-        shares = locator.weights(rays, torch.cat(all_found))
-        weights = torch.zeros_like(weights).view(-1, 3).index_copy(0, seen, shares.T)
-    return SweepTables(ids, weights.view(*shape, 3), mask)
+    for block in points.blocks(locator.chunk_size):
+        ids, weights, seen = (table[block] for table in tables)
+        rays = points.rays(*block)
+        _in_view(rays, points.axes[:, block[1]], points.limits[block[1]], out=seen)
+        in_view = seen.flatten().nonzero()[:, 0]
+        found, shares = locator.find(rays.flatten(1).index_select(1, in_view))
+        rows = found.new_zeros(seen.numel()).index_copy_(0, in_view, found + 1)
+        torch.index_select(corners, 0, rows, out=ids.view(-1, 3))
+        weights.view(-1, 3).index_copy_(0, in_view, shares.T)
+        triangles.append(found)
+    return tables, torch.cat(triangles)
+
+
+@torch.no_grad()
+def _locate_all(points: _Points, locator: TriangleLocator) -> tuple[SweepTables, Tensor]:
+    """Locate all points, and leave out what is not in view: a device is not asked how many are."""
+    tables, triangles = _empty_tables(points), []
+    corners = F.pad(locator.faces, (0, 0, 1, 0))
+    for block in points.blocks(locator.chunk_size):
+        ids, weights, seen = (table[block] for table in tables)
+        rays = points.rays(*block)
+        _in_view(rays, points.axes[:, block[1]], points.limits[block[1]], out=seen)
+        found, shares = locator.find(rays.flatten(1))
+        in_view = seen.flatten()
+        torch.index_select(corners, 0, (found + 1) * in_view, out=ids.view(-1, 3))
+        weights[...] = shares.T.where(in_view[:, None], 0.0).view_as(weights)
+        triangles.append(found)
+    return tables, torch.cat(triangles)
+
+
+_locate = Operator(_locate_seen, fused=_locate_all)
+
+
+def _differentiable_weights(
+    points: _Points, seen: Tensor, triangles: Tensor, locator: TriangleLocator
+) -> Tensor:
+    """Weights ``(N, V, n, 3)`` of the triangles in view, differentiable in rays."""
+    in_view = seen.flatten().nonzero()[:, 0]
+    rays = points.rays(slice(None), slice(None)).flatten(1).index_select(1, in_view)
+    shares = locator.weights(rays, triangles)
+    return shares.new_zeros(seen.numel(), 3).index_copy(0, in_view, shares.T).view(*seen.shape, 3)
 
 
 def _limits(max_angles: Tensor) -> Tensor:
@@ -182,18 +243,3 @@ def _in_view(rays: Tensor, axes: Tensor, limits: Tensor, out: Tensor) -> None:
     length = (x * x).addcmul_(y, y).addcmul_(z, z).sqrt_()
     along = (axes[0] * x).addcmul_(axes[1], y).addcmul_(axes[2], z)
     torch.gt(along, length.mul_(limits), out=out)
-
-
-def _blocks(
-    num_hypotheses: int, num_vertices: int, num_cameras: int, size: int
-) -> Iterator[tuple[slice, slice]]:
-    """Hypotheses and vertices of about ``size`` entries at once, which follow each other in memory.
-
-    Either all vertices of some hypotheses or some vertices of one: such a block of a table is a view without gaps, into
-    which results are written directly, and what lies between points and results stays in the processor's cache.
-    """
-    hypotheses = max(1, size // (num_vertices * num_cameras))
-    vertices = num_vertices if hypotheses > 1 else max(1, min(num_vertices, size // num_cameras))
-    for hypothesis in range(0, num_hypotheses, hypotheses):
-        for vertex in range(0, num_vertices, vertices):
-            yield slice(hypothesis, hypothesis + hypotheses), slice(vertex, vertex + vertices)

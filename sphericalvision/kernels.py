@@ -115,6 +115,14 @@ def prefer_fused(device: torch.device) -> bool:
     )
 
 
+def may_hold(condition: Tensor) -> bool:
+    """Whether a condition may hold anywhere: False only if a CPU sees that it holds nowhere.
+
+    A device would have to be waited for, and what depends on the condition is computed anyway.
+    """
+    return prefer_fused(condition.device) or bool(condition.any())
+
+
 def is_transformed() -> bool:
     """Whether a transform of ``torch.func`` is at work, which takes functions apart that torch knows."""
     return torch._C._are_functorch_transforms_active()

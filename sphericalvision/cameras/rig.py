@@ -42,7 +42,7 @@ from sphericalvision.geometry import (
     transform_from_axis_angle,
 )
 from sphericalvision.geometry.directions import has_numbers, holds
-from sphericalvision.kernels import full_precision, prefer_fused
+from sphericalvision.kernels import Operator, full_precision
 
 __all__ = ["CameraRig", "check_images_of", "ring_rig"]
 
@@ -485,12 +485,7 @@ class CameraRig:
         cameras = list(self.cameras.values())
         rotations = self.world_from_camera[..., :3, :3].to(rays[0]).unbind(-3)
         rays = [ray @ rotation for ray, rotation in zip(rays, rotations, strict=True)]
-        alike = all(camera._signature() == cameras[0]._signature() for camera in cameras)
-        if alike and prefer_fused(rays[0].device):  # one batch, in place of as many operators for each
-            together = type(cameras[0]).stack(cameras).project(torch.stack(rays))
-            projections = [Projection(*one) for one in zip(*together, strict=True)]
-        else:
-            projections = [camera.project(ray) for camera, ray in zip(cameras, rays, strict=True)]
+        projections = _project_cameras(rays, cameras)
         pixels, valid = [one.pixels for one in projections], [one.valid for one in projections]
         for index, name in enumerate(self.names):
             if name in self.masks:
@@ -516,6 +511,21 @@ class CameraRig:
         kinds = {type(camera).__name__ for camera in self.cameras.values()}
         radius = f"radius {float(self.radius.mean()):.3f} m"
         return f"CameraRig({', '.join(self.names)}: {len(self)} x {'/'.join(sorted(kinds))}, {radius})"
+
+
+def _project_each(rays: list[Tensor], cameras: list[Camera]) -> list[Projection]:
+    return [camera.project(ray) for camera, ray in zip(cameras, rays, strict=True)]
+
+
+def _project_together(rays: list[Tensor], cameras: list[Camera]) -> list[Projection]:
+    """One batch of cameras that are alike, in place of as many operators for each."""
+    if any(camera._signature() != cameras[0]._signature() for camera in cameras):
+        return NotImplemented
+    together = type(cameras[0]).stack(cameras).project(torch.stack(rays))
+    return [Projection(*one) for one in zip(*together, strict=True)]
+
+
+_project_cameras = Operator(_project_each, fused=_project_together)
 
 
 def ring_rig(

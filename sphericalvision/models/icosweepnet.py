@@ -31,7 +31,7 @@ from sphericalvision.crown.layout import crown_map
 from sphericalvision.crown.recompute import RecomputedModule, recompute_if_large, recomputes
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.icosphere.topology import check_level
-from sphericalvision.kernels import prefer_fused
+from sphericalvision.kernels import Operator, is_traced
 from sphericalvision.models.depth_network import DepthNetwork
 from sphericalvision.models.weights.registry import register_network
 from sphericalvision.sweep import (
@@ -232,23 +232,36 @@ def camera_by_camera(
         >>> camera_by_camera(nn.Conv1d(3, 5, 1), torch.zeros(2, 4, 3, 42)).shape
         torch.Size([2, 4, 5, 42])
     """
-    norms = [part for part in extractor.modules() if _takes_statistics_of_the_batch(part)]
-    grouped = [norm for norm in norms if isinstance(norm, CrownBatchNorm2d) and norm.momentum is not None]
-    # What is recomputed would be by other groups; and compilers make one graph of it anyway.
-    at_once = prefer_fused(images.device) and not torch.compiler.is_compiling() and not recomputes(extractor)
-    if grouped and len(grouped) == len(norms) and at_once:
-        number = images.shape[1]
-        try:
-            for norm in grouped:
-                norm.groups = number
-            features: Tensor = extractor(images.transpose(0, 1).flatten(0, 1))
-        finally:
-            for norm in grouped:
-                norm.groups = 1
-        return features.unflatten(0, (number, -1)).transpose(0, 1)
-    if norms:
+    return _extract(images, extractor)
+
+
+def _extract_each(images: Tensor, extractor: nn.Module) -> Tensor:
+    if any(map(_takes_statistics_of_the_batch, extractor.modules())):
         return torch.stack([extractor(camera) for camera in images.unbind(1)], 1)
     return extractor(images.flatten(0, 1)).unflatten(0, images.shape[:2])  # type: ignore[no-any-return]
+
+
+def _extract_in_groups(images: Tensor, extractor: nn.Module) -> Tensor:
+    """All cameras in one batch, of which normalisations take statistics camera by camera.
+
+    What is recomputed would be by other groups, and compilers make one graph of the cameras anyway.
+    """
+    norms = [part for part in extractor.modules() if _takes_statistics_of_the_batch(part)]
+    grouped = [norm for norm in norms if isinstance(norm, CrownBatchNorm2d) and norm.momentum is not None]
+    if not grouped or len(grouped) < len(norms) or recomputes(extractor) or is_traced():
+        return NotImplemented
+    number = images.shape[1]
+    try:
+        for norm in grouped:
+            norm.groups = number
+        features: Tensor = extractor(images.transpose(0, 1).flatten(0, 1))
+    finally:
+        for norm in grouped:
+            norm.groups = 1
+    return features.unflatten(0, (number, -1)).transpose(0, 1)
+
+
+_extract = Operator(_extract_each, fused=_extract_in_groups)
 
 
 def _takes_statistics_of_the_batch(part: nn.Module) -> bool:

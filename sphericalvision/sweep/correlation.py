@@ -141,8 +141,8 @@ def _sweep(images: Tensor, valid: Tensor, tables: SweepTables) -> tuple[Tensor, 
     """What cameras see: colours ``(V, n, C, B N)``, 0 where they see nothing, where they do ``(V, n, B N)``, 0 or 1.
 
     The mean over the image is taken off the colours: no correlation depends on it, and it would cost digits. Validity
-    is swept with them: it is the fraction of what is interpolated that is to be seen, and the colours are divided by it,
-    so that a view ends where it does and nothing from outside leaks in.
+    is swept with them, the fraction of what is interpolated that is to be seen; the colours are divided by it, so that
+    a view ends where it does and nothing from outside leaks in.
 
     References:
         Knutsson and Westin (1993), "Normalized and differential convolution".

@@ -28,7 +28,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.directions import angle_from_axis
 from sphericalvision.geometry.image_lookup import image_lookup
 from sphericalvision.icosphere import icosphere_vertices
-from sphericalvision.kernels import prefer_fused, use_triton
+from sphericalvision.kernels import Operator
 
 __all__ = [
     "LightEstimate",
@@ -448,11 +448,16 @@ def median_of_known(values: Float[Tensor, "rows number"]) -> Float[Tensor, " row
         >>> median_of_known(torch.tensor([[3.0, math.nan, 1.0, 2.0], [math.nan] * 4]))
         tensor([2., 0.])
     """
-    if use_triton(values):
-        from sphericalvision.capture.preparation import light_triton  # Triton is not everywhere
+    return _median(values)
 
-        return light_triton.nanmedian_kernel(values).nan_to_num(0.0).to(values.dtype)
-    return values.nanmedian(1).values.nan_to_num(0.0)
+
+def _median_in_triton(values: Tensor) -> Tensor:
+    from sphericalvision.capture.preparation import light_triton  # Triton is not everywhere
+
+    return light_triton.nanmedian_kernel(values).nan_to_num(0.0).to(values.dtype)
+
+
+_median = Operator(lambda values: values.nanmedian(1).values.nan_to_num(0.0), triton=_median_in_triton)
 
 
 def solved(matrix: Float[Tensor, "*b n n"], right: Float[Tensor, "*b n"]) -> Float[Tensor, "*b n"]:
@@ -464,14 +469,15 @@ def solved(matrix: Float[Tensor, "*b n n"], right: Float[Tensor, "*b n"]) -> Flo
         >>> solved(torch.tensor([[2.0, 1.0], [1.0, 2.0]]), torch.tensor([3.0, 0.0]))
         tensor([ 2., -1.])
     """
-    if use_triton(matrix, right):
-        from sphericalvision.capture.preparation import light_triton  # Triton is not everywhere
+    return _solve(matrix, right)
 
-        if right.shape[-1] <= light_triton.LARGEST_SYSTEM:
-            return light_triton.elimination_kernel(matrix, right)
-    if prefer_fused(matrix.device):
-        return eliminated(matrix, right)
-    return torch.linalg.solve(matrix, right)
+
+def _solve_in_triton(matrix: Tensor, right: Tensor) -> Tensor:
+    from sphericalvision.capture.preparation import light_triton  # Triton is not everywhere
+
+    if right.shape[-1] > light_triton.LARGEST_SYSTEM:
+        return NotImplemented
+    return light_triton.elimination_kernel(matrix, right)
 
 
 def eliminated(matrix: Float[Tensor, "*b n n"], right: Float[Tensor, "*b n"]) -> Float[Tensor, "*b n"]:
@@ -530,3 +536,6 @@ def averaged(
             image = flat.reshape(*image.shape[:-2], *camera.image_size)
         small[name] = image
     return small
+
+
+_solve = Operator(torch.linalg.solve, triton=_solve_in_triton, fused=eliminated)

@@ -27,7 +27,7 @@ from sphericalvision.capture.preparation.photometry import (
     median_of_known,
 )
 from sphericalvision.core import ArgumentError
-from sphericalvision.kernels import prefer_fused, use_triton
+from sphericalvision.kernels import Operator, may_hold
 
 __all__ = [
     "AS_IT_IS",
@@ -205,19 +205,10 @@ class Compensator:
         self, images: Mapping[str, Float[Tensor, "b c _ _"]]
     ) -> tuple[dict[str, Float[Tensor, "b c _ _"]], Float[Tensor, "b n"]]:
         """Return images without noise, and how much there was in those of each camera."""
-        smooth, noise = {}, []
-        first, *_ = images.values()
-        shrink = {self._shrink[name] for name in images}
-        alike = not self._usable and len(shrink) == 1
-        alike = alike and all(image.shape == first.shape for image in images.values())
-        if alike and prefer_fused(first.device):  # a quarter of the operations, if there are four cameras
-            together, amounts = _smoothed(torch.cat(list(images.values())), None, *shrink)
-            parts = together.split(len(first))
-            return dict(zip(images, parts, strict=True)), amounts.view(len(images), -1).mT
-        for name, image in images.items():
-            smooth[name], amounts = _smoothed(image, self._usable.get(name), self._shrink[name])
-            noise.append(amounts)
-        return smooth, torch.stack(noise, 1)
+        names, frames = list(images), list(images.values())
+        usable, shrink = [self._usable.get(name) for name in names], [self._shrink[name] for name in names]
+        smooth, noise = _smooth_cameras(frames, usable, shrink)
+        return dict(zip(names, smooth, strict=True)), noise
 
     def light(self, images: Mapping[str, Float[Tensor, "*batch c _ _"]]) -> LightEstimate:
         """Return how exposure and vignetting of the cameras differ; a batch counts as one frame."""
@@ -234,7 +225,7 @@ def needed(condition: Bool[Tensor, "*any"]) -> bool:
 
     A CPU leaves out what nothing asks for. A device would have to be waited for to know, and computes it.
     """
-    return prefer_fused(condition.device) or bool(condition.any())
+    return may_hold(condition)
 
 
 def compensated(
@@ -302,8 +293,7 @@ def _smoothed(image: Tensor, inside: Tensor | None, shrink: int = 1) -> tuple[Te
     means = image.detach()
     if shrink > 1:
         means = F.avg_pool2d(means, shrink, ceil_mode=True)
-    filtered = _filtered_by_opencv if image.is_cpu and not prefer_fused(image.device) else bilateral
-    smooth = filtered(means, CONTRAST * noise / shrink)
+    smooth = _filtered(means, CONTRAST * noise / shrink)
     if shrink > 1:  # on the images there are as few passes as can be: they cost more than the filter
         change = (smooth - means).where(chosen, 0.0)
         smooth = change.repeat_interleave(shrink, -1).repeat_interleave(shrink, -2)
@@ -312,6 +302,27 @@ def _smoothed(image: Tensor, inside: Tensor | None, shrink: int = 1) -> tuple[Te
     if inside is not None:
         chosen = chosen & inside
     return smooth if shrink > 1 and inside is None else smooth.where(chosen, image), noise
+
+
+def _smooth_each(
+    images: list[Tensor], usable: list[Tensor | None], shrink: list[int]
+) -> tuple[list[Tensor], Tensor]:
+    smooth, noise = zip(*map(_smoothed, images, usable, shrink), strict=True)
+    return list(smooth), torch.stack(noise, 1)
+
+
+def _smooth_together(
+    images: list[Tensor], usable: list[Tensor | None], shrink: list[int]
+) -> tuple[list[Tensor], Tensor]:
+    """Smooth the images of cameras that are alike in one batch: a quarter of the operations, if there are four."""
+    alike = len(set(shrink)) == 1 and all(image.shape == images[0].shape for image in images)
+    if not alike or any(mask is not None for mask in usable):
+        return NotImplemented
+    smooth, noise = _smoothed(torch.cat(images), None, shrink[0])
+    return list(smooth.split(len(images[0]))), noise.view(len(images), -1).mT
+
+
+_smooth_cameras = Operator(_smooth_each, fused=_smooth_together)
 
 
 def _filtered_by_opencv(image: Tensor, deviation: Tensor) -> Tensor:
@@ -342,12 +353,22 @@ def bilateral(image: Float[Tensor, "b c h w"], deviation: Float[Tensor, " b"]) -
     height, width = image.shape[-2:]
     mode = "reflect" if min(height, width) > radius else "replicate"
     steepness = (-0.5 / deviation.square()).where(deviation > 0, 0.0).to(image.dtype)
-    if use_triton(image) and image.dtype == torch.float32 and mode == "reflect":
-        from sphericalvision.capture.preparation.bilateral_triton import (
-            bilateral_kernel,  # Triton is not everywhere
-        )
+    return _bilateral(image, steepness, mode)
 
-        return bilateral_kernel(image, steepness, radius, REACH)
+
+def _bilateral_in_triton(image: Tensor, steepness: Tensor, mode: str) -> Tensor:
+    if image.dtype != torch.float32 or mode != "reflect":
+        return NotImplemented
+    from sphericalvision.capture.preparation.bilateral_triton import (
+        bilateral_kernel,  # Triton is not everywhere
+    )
+
+    return bilateral_kernel(image, steepness, WINDOW // 2, REACH)
+
+
+def _bilateral_by_shifts(image: Tensor, steepness: Tensor, mode: str) -> Tensor:
+    radius = WINDOW // 2
+    height, width = image.shape[-2:]
     padded, steepness = F.pad(image, (radius,) * 4, mode=mode), steepness.view(-1, 1, 1, 1)
     weights = torch.zeros_like(image[:, :1])
     total = torch.zeros_like(image)
@@ -363,6 +384,10 @@ def bilateral(image: Float[Tensor, "b c h w"], deviation: Float[Tensor, " b"]) -
             weights.add_(weight, alpha=near)
             total.addcmul_(weight, moved, value=near)
     return total.div_(weights)
+
+
+_bilateral = Operator(_bilateral_by_shifts, triton=_bilateral_in_triton)
+_filtered = Operator(bilateral, cpu=_filtered_by_opencv)
 
 
 def noise_of(image: Float[Tensor, "c h w"], usable: Bool[Tensor, "h w"] | None = None) -> float:

@@ -4,18 +4,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError, check_counts, check_dtype, check_tensor
+from sphericalvision.core import ArgumentError, ShapeError, check_counts, check_dtype
+from sphericalvision.kernels import Operator
+from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere.fast import conv_in_rows, read_pixels
 
 __all__ = ["SphereConv2d", "sphere_conv2d", "sphere_taps"]
 
 
+@check_shapes
 def sphere_conv2d(
     images: Float[Tensor, "B C_in H W"],
     weight: Float[Tensor, "C_out C_group h w"],
@@ -48,28 +52,38 @@ def sphere_conv2d(
         >>> sphere_conv2d(torch.ones(1, 3, 16, 32), torch.ones(8, 3, 3, 3), stride=2).shape
         torch.Size([1, 8, 8, 16])
     """
-    check_tensor("images", images, "(B, in, H, W)")
-    check_tensor("weight", weight, "(out, in, h, w)")
     check_dtype("images", images, weight)
-    if images.ndim != 4 or weight.ndim != 4 or images.shape[1] != weight.shape[1] * groups:
+    if images.shape[1] != weight.shape[1] * groups:
         raise ShapeError(
             f"images and weight: expected shapes (B, in, H, W) and (out, in / {groups}, h, w), "
             f"got {tuple(images.shape)} and {tuple(weight.shape)}"
         )
+    stride, dilation = _pair(stride), _pair(dilation)
+    return _convolve(images, weight, bias, stride, dilation, groups, sphere_taps)
+
+
+def _convolve_taps(
+    images: Tensor,
+    weight: Tensor,
+    bias: Tensor | None,
+    stride: tuple[int, int],
+    dilation: tuple[int, int],
+    groups: int,
+    taps_of: Callable[..., Tensor],
+) -> Tensor:
     height, width = images.shape[-2:]
     rows, columns = weight.shape[-2:]
-    stride, dilation = _pair(stride), _pair(dilation)
-    result = conv_in_rows(images, weight, stride, dilation, groups, sphere_taps)
-    if result is not None:
-        return result if bias is None else result + bias[:, None, None]
-    taps = sphere_taps((height, width), (rows, columns), stride, dilation, images.dtype, images.device)
+    taps = taps_of((height, width), (rows, columns), stride, dilation, images.dtype, images.device)
     shift = torch.arange(0, width, stride[1], dtype=taps.dtype, device=taps.device)
-    # One tap of one kernel beside the other, as in a picture, for a planar convolution that steps by the kernel.
+    # One tap of one kernel next to the other, as in an image, for a planar convolution that steps by the kernel.
     u = taps[..., 0].flatten(0, 1)[:, None] + shift[:, None]
     v = taps[..., 1].flatten(0, 1)[:, None].expand_as(u)
     pixels = torch.stack((u, v), -1).view(-1, 2)
     picture = read_pixels(images, pixels).view(*images.shape[:2], len(taps) * rows, len(shift) * columns)
     return F.conv2d(picture, weight, bias, (rows, columns), groups=groups)
+
+
+_convolve = Operator(_convolve_taps, cpu=conv_in_rows)
 
 
 class SphereConv2d(nn.Conv2d):

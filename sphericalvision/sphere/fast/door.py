@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``sphere_conv2d`` asks before it reads tap by tap: whether sums of rows are faster, and their result."""
+"""Convolutions of panoramas by sums of rows, where these are faster than to read tap by tap, and the reading."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torch import Tensor
 from sphericalvision.geometry.bilinear import bilinear_sample
 from sphericalvision.geometry.image_lookup import taps_across_edges
 from sphericalvision.geometry.lookup import weighted_sums
-from sphericalvision.kernels import uses_reference_kernels
+from sphericalvision.kernels import Operator
 from sphericalvision.sphere.fast.row_sums import RowSums, adjoint, conv_of_row_sums, row_sums
 
 __all__ = ["conv_in_rows", "read_pixels"]
@@ -24,52 +24,58 @@ Pair = tuple[int, int]
 def conv_in_rows(
     images: Float[Tensor, "B C_in H W"],
     weight: Float[Tensor, "C_out C_group k_h k_w"],
+    bias: Float[Tensor, " C_out"] | None,
     stride: Pair,
     dilation: Pair,
     groups: int,
     taps_of: Callable[..., Tensor],
-) -> Float[Tensor, "B C_out H_out W_out"] | None:
-    """Convolve panoramas ``(B, in, H, W)`` by sums of rows, or None where that does not pay.
+) -> Float[Tensor, "B C_out H_out W_out"]:
+    """Convolve panoramas ``(B, in, H, W)`` by sums of rows; ``NotImplemented`` where that does not pay.
 
     Args:
         images: full panoramas.
         weight: ``(out, in / groups, kernel height, kernel width)``.
+        bias: ``(out,)``.
         stride: of the centres, vertical and horizontal.
         dilation: of the taps.
         groups: of channels that are convolved apart.
         taps_of: ``sphere_taps``, or a function of the same arguments.
     """
     if not _pays(images, weight, stride):
-        return None
+        return NotImplemented
     height, width = images.shape[-2:]
     rows, columns = weight.shape[-2:]
     forward, backward = _sums_of_taps(taps_of, (height, width), (rows, columns), stride, dilation)
     phases = images.unflatten(-1, (-1, stride[1])).transpose(-1, -2).flatten(2, 3)
-    return conv_of_row_sums(phases, weight.flatten(2), forward, backward, groups)
+    result = conv_of_row_sums(phases, weight.flatten(2), forward, backward, groups)
+    return result if bias is None else result + bias[:, None, None]
 
 
 def _pays(images: Tensor, weight: Tensor, stride: Pair) -> bool:
     """On a CPU it is several times faster; not in graphs for other machines."""
     return (
-        not uses_reference_kernels()
-        and images.device.type == weight.device.type == "cpu"
+        images.device.type == weight.device.type == "cpu"
         and images.dtype == weight.dtype
         and images.dtype in (torch.float32, torch.float64)
         and min(stride) > 0
         and images.shape[-1] % stride[1] == 0
         and images.numel() > 0
-        and not torch.compiler.is_compiling()
         and not torch.jit.is_tracing()
         and not torch.is_autocast_enabled("cpu")
     )
 
 
-def read_pixels(images: Float[Tensor, "B C H W"], pixels: Float[Tensor, "P 2"]) -> Float[Tensor, "B C P"]:
-    """Read panoramas between their pixels; by the reference slower, and differentiable any number of times."""
-    if uses_reference_kernels():
-        taps = taps_across_edges(pixels, (images.shape[-2], images.shape[-1]), "sphere")
-        return weighted_sums(images.flatten(-2), *taps)
+def _read_by_taps(images: Float[Tensor, "B C H W"], pixels: Float[Tensor, "P 2"]) -> Float[Tensor, "B C P"]:
+    """Read panoramas between their pixels: slower, and differentiable any number of times."""
+    taps = taps_across_edges(pixels, (images.shape[-2], images.shape[-1]), "sphere")
+    return weighted_sums(images.flatten(-2), *taps)
+
+
+def _read_by_grid(images: Float[Tensor, "B C H W"], pixels: Float[Tensor, "P 2"]) -> Float[Tensor, "B C P"]:
     return bilinear_sample(images, pixels, wrap_longitude=True)
+
+
+read_pixels = Operator(_read_by_taps, cpu=_read_by_grid, fused=_read_by_grid)
 
 
 @lru_cache(maxsize=32)

@@ -121,18 +121,6 @@ class _Convolution(torch.autograd.Function):
         ctx.save_for_backward(rows, weight)
 
     @staticmethod
-    def vmap(info: Any, in_dims: tuple[Any, ...], *inputs: Any) -> tuple[Tensor, int]:
-        """One after the other, for ``torch.func``."""
-        results = []
-        for place in range(info.batch_size):
-            rows, weight = (
-                tensor if dim is None else tensor.select(dim, place)
-                for tensor, dim in zip(inputs[:2], in_dims[:2], strict=True)
-            )
-            results.append(_Convolution.apply(rows, weight, *inputs[2:]))
-        return torch.stack(results), 0
-
-    @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         rows, weight = ctx.saved_tensors
         want_rows, want_weight = ctx.needs_input_grad[:2]

@@ -59,7 +59,7 @@ def check_shapes(function: Callable[P, R]) -> Callable[P, R]:
         ...     return values if mask is None else values * mask
         >>> check_shapes(masked)(torch.ones(2, 3), torch.ones(4, dtype=torch.bool))
         Traceback (most recent call last):
-        sphericalvision.core.ShapeError: mask: expected shape (n), where n = 3 as in values, got (4,)
+        sphericalvision.core.ShapeError: mask: expected shape (3,), as of values, got (4,)
     """
     arguments = _arguments(function)
     plan = [(x.position, x.name, x.others, tuple(shape.check() for shape in x.shapes), x) for x in arguments]
@@ -82,7 +82,7 @@ def check_shapes(function: Callable[P, R]) -> Callable[P, R]:
                     else:
                         argument.refuse(value, sizes, arguments)
                 elif not (others == "any" or (value is None and others == "None")):
-                    check_tensor(name, value, argument.text)
+                    check_tensor(name, value, argument.text({}))
         return function(*args, **kwargs)
 
     # Code of its own: torch.compile keeps what it has compiled by code, and tracebacks show the function's name.
@@ -102,11 +102,16 @@ class _Shape(NamedTuple):
     fixed: tuple[tuple[int, int], ...]  # dimension and its size
     compared: tuple[tuple[slice, str, bool], ...]  # dimensions, name, whether they may be 1
 
-    @property
-    def text(self) -> str:
-        """The shape as messages show it."""
-        variadic = {"...": "*", "*batch": "*", "*#batch": "*"}
-        return f"({', '.join(variadic.get(token, token.replace('#', '')) for token in self.tokens)})"
+    def text(self, sizes: Sizes) -> str:
+        """The shape as messages show it, with the sizes that other arguments have."""
+        shown: list[str] = []
+        for token in self.tokens:
+            name = token.lstrip("*#")
+            if name in sizes:
+                shown += map(str, sizes[name])
+            else:
+                shown.append("*" if token in ("...", "*batch", "*#batch") else token.replace("#", ""))
+        return f"({', '.join(shown)}{',' if len(shown) == 1 and shown[0].isdigit() else ''})"
 
     def check(self) -> Fits:
         """Return whether a tensor fits, as a function of it and of sizes so far, to which it adds its own.
@@ -145,10 +150,9 @@ class _Argument(NamedTuple):
     others: str  # than tensors: "", "None" or "any"
     shapes: tuple[_Shape, ...]
 
-    @property
-    def text(self) -> str:
+    def text(self, sizes: Sizes) -> str:
         """The shapes as messages show them."""
-        return " or ".join(dict.fromkeys(shape.text for shape in self.shapes))
+        return " or ".join(dict.fromkeys(shape.text(sizes) for shape in self.shapes))
 
     def refuse(self, value: torch.Tensor, sizes: Sizes, arguments: Sequence[_Argument]) -> None:
         """Raise what is wrong with a tensor: its kind of numbers, or its shape where others have these sizes."""
@@ -158,22 +162,14 @@ class _Argument(NamedTuple):
                 check_floating(self.name, value)
             expected = " or ".join(KINDS[kind][0] for kind in kinds)
             raise ArgumentError(f"{self.name}: expected {expected}, got {value.dtype}")
-        earlier = arguments[: [argument.name for argument in arguments].index(self.name)]
         names = {name for shape in self.shapes for _, name, _ in shape.compared if name in sizes}
         sources = [
             argument.name
-            for argument in earlier
+            for argument in arguments[: [argument.name for argument in arguments].index(self.name)]
             if any(name in names for shape in argument.shapes for _, name, _ in shape.compared)
         ]
-        condition = ""
-        if sources:
-            equal = [
-                f"{name} = {size[0] if len(size) == 1 else tuple(size)}"
-                for name, size in sizes.items()
-                if name in names
-            ]
-            condition = f", where {', '.join(equal)} as in {' and '.join(sources)}"
-        raise ShapeError(f"{self.name}: expected shape {self.text}{condition}, got {tuple(value.shape)}")
+        reason = f", as of {' and '.join(sources)}" if sources else ""
+        raise ShapeError(f"{self.name}: expected shape {self.text(sizes)}{reason}, got {tuple(value.shape)}")
 
 
 def _arguments(function: Callable[..., Any]) -> list[_Argument]:

@@ -398,16 +398,16 @@ Icosphere(1).sample(torch.zeros(1, 42), torch.ones(3)) -> directions: \(\*b, n, 
 Icosphere(0).coarser() -> Icosphere\.coarser: level 0
 # crown: hexconv
 HexConv2d(4, 5)(torch.zeros(1, 3, 42)) -> values: expected 4 channels
-hex_conv2d(torch.zeros(1, 3, 42), torch.zeros(5, 3, 9)) -> weight: expected shape \(out, in, 7\)
-HexConv3d(3, 5)(torch.zeros(1, 3, 42)) -> values: expected shape \(B, C, N, V\)
-HexConv2d(3, 5, orientation='north', level=2)(torch.zeros(1, 3, 42)) -> north: expected north_fraction\(1\)
+hex_conv2d(torch.zeros(1, 3, 42), torch.zeros(5, 3, 9)) -> weight: 7\), got \(5, 3, 9\)
+HexConv3d(3, 5)(torch.zeros(1, 3, 42)) -> values: N, V\), got \(1, 3, 42\)
+HexConv2d(3, 5, orientation='north', level=2)(torch.zeros(1, 3, 42)) -> values: level 2.*got level 1
 HexConv2d(3, 5, orientation='north') -> level: expected the level
 HexConv2d(3, 5, orientation='south') -> orientation: expected one of 'chart', 'north'
 HexConv2d(3, 5, stride=3) -> stride: expected 1
 HexConv2d(3, 5, stride=2)(torch.zeros(1, 3, 12)) -> stride: at level 0
 # crown: layers
 CrownConv2d(4, 5)(to_crown(torch.zeros(1, 3, 42))) -> crown: expected 4 channels
-crown_conv2d(to_crown(torch.zeros(1, 3, 42)), torch.zeros(5, 3, 9)) -> weight: expected shape \(out, in, 7\)
+crown_conv2d(to_crown(torch.zeros(1, 3, 42)), torch.zeros(5, 3, 9)) -> weight: 7\), got \(5, 3, 9\)
 CrownConv3d(3, 5)(to_crown(torch.zeros(1, 3, 42))) -> crown: \(B, 5, C, N, 2n \+ 1, n \+ 1\)
 CrownConv2d(3, 5, stride=3) -> stride: expected 1
 CrownConv2d(3, 5, stride=2)(to_crown(torch.zeros(1, 3, 12))) -> stride: at level 0

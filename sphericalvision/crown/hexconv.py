@@ -103,7 +103,7 @@ def _north_fraction(level: int) -> Tensor:
 @check_shapes
 def hex_conv2d(
     values: Float[Tensor, "B C_in V"],
-    weight: Float[Tensor, "C_out C_in 7"],
+    weight: Float[Tensor, "C_out C_weight 7"],
     bias: Float[Tensor, " C_out"] | None = None,
     stride: int = 1,
     north: Float[Tensor, " V_north"] | None = None,
@@ -143,7 +143,7 @@ def hex_conv2d(
 @check_shapes
 def hex_conv3d(
     values: Float[Tensor, "B C_in N V"],
-    weight: Float[Tensor, "C_out C_in 21"],
+    weight: Float[Tensor, "C_out C_weight 21"],
     bias: Float[Tensor, " C_out"] | None = None,
     stride: int = 1,
     north: Float[Tensor, " V_north"] | None = None,
@@ -178,6 +178,8 @@ def _check_conv(values: Tensor, weight: Tensor, stride: int, north: Tensor | Non
     """Raise unless a level, a type and a stride fit: what no annotation says."""
     level = level_from_num_vertices(values.shape[-1])
     check_dtype("values", values, weight)
+    if weight.shape[1] != values.shape[1]:
+        raise ShapeError(f"values: expected {weight.shape[1]} channels (dimension 1), got {values.shape[1]}")
     if stride not in (1, 2) or (stride == 2 and level == 0):
         raise ArgumentError(f"stride: expected 1, or 2 above level 0, got {stride} at level {level}")
     if north is not None and len(north) != values.shape[-1]:

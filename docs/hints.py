@@ -176,8 +176,10 @@ def of_drive(predictor: Predictor, scene: World) -> list[list[float]]:
         )
         truths.append(truth)
         off[False].append(index_of(at(images).inverse_depth) - truth)
-        hint = None if last is None else Hint.of_depth(last, torch.eye(4))
-        last = at(images, hint)
+        now = at(images)
+        last = (
+            now if last is None else Hint.of_depth(last, torch.eye(4)).averaged(now)
+        )
         off[True].append(index_of(last.inverse_depth) - truth)
     stacks = [torch.stack(off[carried])[2:] for carried in (False, True)]
     static = torch.stack(truths)[2:].std(0) < STATIC

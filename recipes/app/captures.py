@@ -26,7 +26,7 @@ from sphericalvision.capture.sources.image_files import IMAGE_SUFFIXES
 from sphericalvision.capture.sources.moving import NAME, Moving
 from sphericalvision.capture.sources.opening import open_source, rig_for_images, rig_with_masks
 from sphericalvision.core import ArgumentError, FileFormatError
-from sphericalvision.io.images import read_image_size, read_mask, write_mask
+from sphericalvision.io.images import read_image_size, read_mask
 from sphericalvision.io.times import SAME_TIME
 from sphericalvision.recipes.app.kinds import (
     STRICT,
@@ -310,12 +310,11 @@ def print_labels(source: Source) -> None:
         print(f"Images: {source.pairing}.")
 
 
-def masked_by_itself(source: Source, folder: Path | None = None) -> CameraRig:
-    """The rig of a source with masks of its own body, which are written to ``masks/{camera}.png`` of a folder.
+def masked_by_itself(source: Source) -> CameraRig:
+    """The rig of a source with masks of its own body.
 
     Args:
         source: a recording; up to fifty frames of all of it are read, whichever are to be predicted.
-        folder: of the results; without one nothing is written.
 
     Raises:
         ArgumentError: live cameras, which cannot be read twice.
@@ -331,11 +330,7 @@ def masked_by_itself(source: Source, folder: Path | None = None) -> CameraRig:
     chosen = None if names is None else set(spread_evenly(names, MOST))
     frames = source.frames(Selection(), lambda name: chosen is None or name in chosen)
     images = (as_photographs(f.images, source.rig) for f in frames if f.images is not None)
-    rig = with_own_body_masked(source.rig, images)
-    if folder is not None:
-        for name, mask in rig.masks.items():
-            write_mask(folder / "masks" / f"{name}.png", mask)
-    return rig
+    return with_own_body_masked(source.rig, images)
 
 
 def cut_to_visible(source: Source, max_angle_deg: float | None) -> None:

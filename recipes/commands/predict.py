@@ -1,40 +1,41 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth of one's own captures: image files, videos or live cameras in; pictures, points, arrays and a video out."""
+"""Depth of captures: image files, videos or live cameras in; pictures, points, arrays and a video out."""
 
 from __future__ import annotations
 
 import math
 import time
+import zlib
 from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import torch
 from annotated_types import Ge
 from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 from pydantic.dataclasses import dataclass
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, read_rig, save_rig
+from sphericalvision.cameras.calibration.text_files import load_keys
 from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.cameras.robot_frame import placed, tilt_of
 from sphericalvision.capture import Predictor, align_rig
-from sphericalvision.capture.estimating import Behind, Estimate, estimate_frames
-from sphericalvision.capture.folder_record import RECORD, checksum
-from sphericalvision.capture.leveling import leveling_turn
-from sphericalvision.capture.outputs import Outputs, Settings
+from sphericalvision.capture.estimating import Estimate, estimate_frames, ordered_map
+from sphericalvision.capture.outputs import Outputs
+from sphericalvision.capture.preparation.nearest import checked_min_depth
 from sphericalvision.capture.preparation.preparation import Preparation
+from sphericalvision.capture.result_folder import Settings
 from sphericalvision.capture.sources.frames import Selection, Source
 from sphericalvision.capture.sources.moving import Moving
 from sphericalvision.core import ArgumentError, FileFormatError
-from sphericalvision.io.yaml_files import read_yaml
+from sphericalvision.io.files import part_of_name
+from sphericalvision.io.images import write_mask
 from sphericalvision.models.weights.files import identity_of
 from sphericalvision.models.weights.pretrained import DEFAULT
-from sphericalvision.recipes.app.captures import AUTO, FLOOR, PosedCapture, cut_to_visible, masked_by_itself
+from sphericalvision.recipes.app.captures import AUTO, PosedCapture, cut_to_visible, masked_by_itself
 from sphericalvision.recipes.app.checks import flat
 from sphericalvision.recipes.app.cli import choose_device, console, print_config, say
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, OnlyWith, Positive, Share, Text
@@ -79,27 +80,77 @@ class PredictConfig:
 
 MOST_PATHS = 30
 """Of files that are named at the end."""
-ENOUGH = 0.9
-"""Share of the sphere that two cameras see, below which it is said."""
 LAST: Literal["last"] = "last"
 """As a hint: the depth of the frame before."""
-ANEW = "give another output=, or leave skip_existing out to make all frames anew"
-ALIGNED = "aligned.yaml"
-"""Beside the results: the calibration with cameras turned."""
+SETTINGS, ALIGNED = "config.yaml", "aligned.yaml"
+"""Files next to the results: the settings of the run, and the calibration with cameras turned."""
+BASIS = "made_from"
+"""Key in ``config.yaml``: identities of the rig, the trajectory and the network, whose paths alone say little."""
 LYING = math.radians(45)
-"""Between the cameras' mean down and the world's, from which on it is said."""
+"""Angle between the cameras' mean down and the world's from which on a warning is printed."""
+PLAUSIBLE = (0.005, 5.0)
+"""Metres: radii of windows, as of rigs; of others the poses have another unit."""
 FREE = (
     *("frames", "start", "stop", "every", "outputs", "output"),
     *("skip_existing", "on_error", "device"),
 )
-"""Settings that may change between a prediction and its continuation."""
+"""Settings that may change between runs into one folder."""
+
+
+def predict(config: PredictConfig, folder: Path) -> list[Path]:
+    """Write ``config.outputs`` of each frame to ``folder``; returns the files.
+
+    Raises:
+        ArgumentError: the folder holds results of other settings.
+        FileFormatError: images of some frames cannot be read; the others are done before that is reported.
+    """
+    earlier = read_settings(folder)
+    source = open_frames(config)
+    calibrated = source.source if isinstance(source, Moving) else source  # whose rig all frames have
+    placement = config.capture.placement(calibrated.rig)
+    calibrated.rig = placed(calibrated.rig, placement)
+    basis = identities(config, source.rig)
+    restrict_views(config, calibrated)
+    warn_if_lying(config, source.rig)
+
+    predictor = predictor_for(source.rig, config)
+    min_depth = nearest(predictor, source, config, earlier)
+    if predictor.min_depth is None and not isinstance(min_depth, str):
+        predictor = predictor.with_changes(min_depth=min_depth)
+    if config.method == "network" and predictor.min_depth is not None:
+        basis["network"] = identity_of(predictor.network)
+    settings = {**flat(config), "min_depth": min_depth, BASIS: basis}
+    check_settings(settings, earlier, folder)
+
+    aligned = aligned_rig(predictor, calibrated, folder, bool(earlier) and config.skip_existing, placement)
+    if aligned is not None:
+        calibrated.rig = aligned
+        predictor = predictor.with_changes(source.rig)
+    hints = hints_of(config, source, predictor, placement)
+    write_settings(settings, predictor, folder)
+    write_masks(config, calibrated.rig, folder)
+
+    outputs = Outputs(folder, output_settings(config, source))
+    names = source.names(config.capture.selection)
+    remaining = None if names is None else outputs.remaining(names)
+    if names is not None and remaining is not None and len(remaining) < len(set(names)):
+        say(f"{len(set(names)) - len(remaining)} frame(s) are complete in {folder} already; skipping them")
+    errors = run(
+        source, config.capture.selection, predictor, outputs, remaining, config.on_error == "stop", hints
+    )
+    written = [path for path in [folder / ALIGNED] if path.is_file()] + outputs.written
+    report(written, outputs)
+    if errors:
+        count = "some" if names is None else f"{len(errors)} of {len(names)}"
+        raise FileFormatError(f"{count} frames were left out. The first: {errors[0]}")
+    return written
 
 
 def predictor_for(rig: CameraRig, config: PredictConfig) -> Predictor:
     """The predictor that a configuration describes.
 
     Raises:
-        ArgumentError: the network wants another number of cameras.
+        ArgumentError: the network needs another number of cameras.
     """
     return Predictor(
         rig,
@@ -115,7 +166,7 @@ def predictor_for(rig: CameraRig, config: PredictConfig) -> Predictor:
 
 
 def open_frames(config: PredictConfig) -> Source:
-    """The frames that a configuration names, with the rig of each in the size of its images."""
+    """The frames of a configuration, with the rig of each in the size of its images; prints how many there are."""
     source = config.capture.open()
     if isinstance(source, Moving):
         print(f"Poses: image {source.first_pair[0]} has the pose {source.first_pair[1]}, and so on.")
@@ -123,29 +174,114 @@ def open_frames(config: PredictConfig) -> Source:
             print(
                 f"Warning: {source.unposed} frame(s) have no pose within 20 ms, or of their name; left out."
             )
+    names = source.names(config.capture.selection)
+    count = "live" if names is None else f"{len(names)} frame(s)"
+    cameras = "cameras" if config.capture.poses is None else "images in a window"
+    radius = float(source.rig.radius)
+    console.print(f"{count}, {len(source.rig)} {cameras}, rig radius {radius:.3f} m")
+    if isinstance(source, Moving) and not PLAUSIBLE[0] <= radius <= PLAUSIBLE[1]:
+        print(
+            f"Warning: poses: images of a window are {radius:.4g} m from their centre on average, which is implausible "
+            "(expected 5 mm to 5 m). Trajectories are in metres: check their unit, and spacing=."
+        )
     return source
 
 
-def _say_if_lying(rig: CameraRig, capture: PosedCapture) -> None:
+def restrict_views(config: PredictConfig, source: Source) -> None:
+    """Mask the rig's own body where that is asked for, and let fields of view end where the images are dark."""
+    if config.capture.masks == AUTO:
+        source.rig = masked_by_itself(source)
+    cut_to_visible(source, config.capture.max_angle_deg)
+
+
+def write_masks(config: PredictConfig, rig: CameraRig, folder: Path) -> None:
+    """Write the masks of the rig's own body to ``masks/{camera}.png``."""
+    for name, mask in rig.masks.items() if config.capture.masks == AUTO else ():
+        write_mask(folder / "masks" / f"{part_of_name(name)}.png", mask)
+
+
+def warn_if_lying(config: PredictConfig, rig: CameraRig) -> None:
     """Print a warning where the cameras' mean down is far from the world's, in which panoramas lie on their side."""
-    tilt = tilt_of(rig)
+    tilt, capture = tilt_of(rig), config.capture
     if tilt is None or tilt < LYING:
         return
-    what = (
+    remedy = (
         f"frame={capture.frame} should place the rig in axes x forward, y left, z up"
         if capture.frame
-        else "up=z (robots, IMUs) or up=y, if that points up there; up=camera takes what is up in the images"
+        else "set up=z (robots, IMUs) or up=y if that points up in the calibration, or up=camera for the images' up"
     )
     print(
-        f"Warning: the cameras' mean down is {math.degrees(tilt):.0f}° from the world's down, with "
-        f"up={capture.upwards}. If it is not so, pictures lie on their side and depth is worse: {what}."
+        f"Warning: the cameras' mean down is {math.degrees(tilt):.0f}° from the world's down (up={capture.upwards}); "
+        f"then panoramas lie on their side, and depth is worse: {remedy}."
     )
+
+
+def identities(config: PredictConfig, rig: CameraRig) -> dict[str, str | None]:
+    """Fingerprints of the rig and of the trajectory: the same paths may lead to other files later on."""
+    poses = Path(config.capture.poses or "")
+    trajectory = f"{zlib.crc32(poses.read_bytes()):08x}" if poses.is_file() else None
+    return {"rig": rig_fingerprint(rig, digits=6), "trajectory": trajectory}
+
+
+def nearest(
+    predictor: Predictor, source: Source, config: PredictConfig, earlier: Mapping[str, Any]
+) -> float | str:
+    """The nearest hypothesis: as configured, of the run that is continued, or found in a few frames."""
+    if predictor.min_depth is not None:
+        return config.min_depth
+    if config.skip_existing and not isinstance(earlier.get("min_depth", ""), str):
+        return checked_min_depth(earlier["min_depth"])
+    samples = [(frame.images, frame.rig) for frame in source.samples() if frame.images is not None]
+    shared = [images for images, rig in samples if rig is None]
+    depths = [predictor.nearest_depth(shared)] if shared else []
+    # Windows have rigs of their own, and share the depth.
+    depths += [
+        predictor.with_changes(rig).nearest_depth([images]) for images, rig in samples if rig is not None
+    ]
+    return round(min(depths), 3) if depths else config.min_depth
+
+
+def aligned_rig(
+    predictor: Predictor, source: Source, folder: Path, goes_on: bool, placement: Tensor
+) -> CameraRig | None:
+    """The rig with cameras turned where three frames show it; None if it stays as it is.
+
+    The calibration with these cameras turned goes to ``aligned.yaml``, which a continuation takes.
+
+    Args:
+        predictor: of the frames.
+        source: of the frames of the calibrated rig.
+        folder: of the results.
+        goes_on: whether a run is continued.
+        placement: ``(4, 4)``, from the frame of the calibration to that of the rig.
+    """
+    path = folder / ALIGNED
+    if goes_on:
+        if not path.is_file():
+            return None
+        turned = placed(read_rig(path), placement)
+        return source.rig.replaced(world_from_camera=turned.world_from_camera, origin=turned.origin)
+    path.unlink(missing_ok=True)
+    if not predictor.preparation.judges(source.rig):
+        return None
+    if predictor.rig.names != source.rig.names:  # of windows
+        predictor = predictor.with_changes(source.rig)
+    start = time.perf_counter()
+    with console.status("comparing frames with the calibration"):
+        verdict = align_rig(predictor, (f.images for f in source.samples() if f.images is not None))
+    say(f"preparation {verdict.described()} ({time.perf_counter() - start:.1f} s)")
+    if not verdict.turned:
+        return None
+    rig = verdict.rig.to("cpu")
+    folder.mkdir(parents=True, exist_ok=True)
+    save_rig(placed(rig, torch.linalg.inv(placement)), path)
+    return rig
 
 
 def hints_of(
     config: PredictConfig, source: Source, predictor: Predictor, placement: Tensor
 ) -> HintFiles | Literal["last"] | None:
-    """The hints that a configuration names.
+    """The hints of a configuration.
 
     Raises:
         ArgumentError: the network takes none of files, there is no pose to carry the last frame's depth on, or a key
@@ -173,138 +309,62 @@ def hints_of(
         )
     from sphericalvision.capture.hint_files import HintFiles
 
-    quantity, fit, whole = config.hint_quantity, config.hint_fit, source.whole.names
-    return HintFiles(config.hint, names, source.rig, placement, quantity, fit, whole)
+    quantity, fit = config.hint_quantity, config.hint_fit
+    return HintFiles(config.hint, names, source.rig, placement, quantity, fit, source.whole.names)
 
 
-def nearest(
-    predictor: Predictor, source: Source, config: PredictConfig, before: Mapping[str, Any]
-) -> PredictConfig:
-    """The configuration with its nearest hypothesis: of the run that it continues, or found in a few frames."""
-    if "min_depth" in before:
-        return replace(config, min_depth=before["min_depth"])
-    if samples := source.samples():
-        shared = [frame.images for frame in samples if frame.images is not None and frame.rig is None]
-        depths = [predictor.nearest_depth(shared)] if shared else []
-        for frame in samples:  # windows have rigs of their own, and share the depth
-            if frame.images is not None and frame.rig is not None:
-                depths.append(predictor.with_changes(frame.rig).nearest_depth([frame.images]))
-        return replace(config, min_depth=round(min(depths), 3))
-    return config
-
-
-def aligned(
-    predictor: Predictor, source: Source, folder: Path, goes_on: bool, placement: Tensor
-) -> Predictor:
-    """The predictor with cameras turned where three frames say so; the calibration goes to ``aligned.yaml``.
-
-    Whoever goes on with a prediction takes what is there.
-
-    Args:
-        predictor: of the rig.
-        source: of its frames.
-        folder: of the results.
-        goes_on: whether there are results already.
-        placement: ``(4, 4)``, from the frame of the calibration to that of the rig.
-    """
-    path = folder / ALIGNED
-    if goes_on:
-        if not path.is_file():
-            return predictor
-        turned = placed(read_rig(path), placement)
-        source.rig = source.rig.replaced(world_from_camera=turned.world_from_camera, origin=turned.origin)
-        return predictor.with_changes(source.rig)
-    if not predictor.preparation.align:
-        return predictor
-    start = time.perf_counter()
-    with console.status("comparing frames with the calibration"):
-        verdict = align_rig(predictor, (f.images for f in source.samples() if f.images is not None))
-    say(f"preparation {verdict.described()} ({time.perf_counter() - start:.1f} s)")
-    if not verdict.turned:
-        return predictor
-    source.rig = verdict.rig.to("cpu")
-    folder.mkdir(parents=True, exist_ok=True)
-    save_rig(placed(source.rig, torch.linalg.inv(placement)), path)
-    return predictor.with_changes(source.rig)
-
-
-def predict(config: PredictConfig, folder: Path) -> list[Path]:
-    """Write what ``config.outputs`` names of each frame to ``folder``; returns the files.
-
-    Raises:
-        FileFormatError: images of some frames cannot be read; the others are done before that is told.
-    """
-    source = open_frames(config)
-    selection = config.capture.selection
-    names = source.names(selection)
-    many = "live" if names is None else f"{len(names)} frame(s)"
-    cameras = "cameras" if config.capture.poses is None else "images in a window"
-    radius = float(source.rig.radius)
-    console.print(f"{many}, {len(source.rig)} {cameras}, rig radius {radius:.3f} m")
-    still = source.source if isinstance(source, Moving) else source  # whose frames are made ready once
-    if config.capture.masks == AUTO:
-        still.rig = masked_by_itself(still, folder)
-    placement = config.capture.placement(still.rig)
-    still.rig = placed(still.rig, placement)
-    _say_if_lying(source.rig, config.capture)
-    before = _settings_before(folder) if config.skip_existing else {}
-    basis = _basis(config, source.rig)
-    cut_to_visible(still, config.capture.max_angle_deg)
-    predictor = predictor_for(source.rig, config)
-    if predictor.min_depth is None:
-        config = nearest(predictor, source, config, before)
-        if not isinstance(config.min_depth, str):
-            predictor = predictor.with_changes(min_depth=config.min_depth)
-    _check_settings(config, before, folder)
-    if config.capture.up == FLOOR:
-        depths = (predictor(frame.images) for frame in source.samples() if frame.images is not None)
-        turn, sentence = leveling_turn(depths)
-        say(f"up=floor: {sentence}")
-        placement = turn.to(placement) @ placement
-        source.rig = placed(source.rig, turn)
-        predictor = predictor.with_changes(source.rig)
-    hints = hints_of(config, source, predictor, placement)
-    if still is source:
-        predictor = aligned(predictor, source, folder, bool(before), placement)
-        if hints is not None and hints != LAST:
-            hints.rig = source.rig  # their depth images are turned as the cameras are
-    elif predictor.preparation.judges(still.rig):
-        aligned(predictor.with_changes(still.rig), still, folder, bool(before), placement)
-        predictor = predictor.with_changes(source.rig)
-    if not before:  # what it states is of other settings than those that come now
-        (folder / RECORD).unlink(missing_ok=True)
-    print_config(config, folder)
-    near = "found in the first frame" if predictor.min_depth is None else f"{predictor.min_depth:.3f} m"
-    weights = f", weights {config.checkpoint or DEFAULT}" if config.method == "network" else ""
-    console.print(f"nearest hypothesis {near}{weights}")
-    kinds = config.outputs or (("depth", "cloud", "npz") if source.rate == 0 else ("video",))
-    settings = Settings(
-        list(kinds),
+def output_settings(config: PredictConfig, source: Source) -> Settings:
+    """How the results of a configuration are written; without ``outputs`` a video of streams, else files of frames."""
+    return Settings(
+        config.outputs or (("depth", "cloud", "npz") if source.rate == 0 else ("video",)),
         config.height,
         config.min_confidence,
         config.voxel,
-        (source.rate or 10.0) / config.capture.every,
-        config.near,
-        bool(before),
-        {**basis, "network": identity_of(predictor.network) if config.method == "network" else None},
-        config.capture.axes,
-        config.capture.poses is not None,
+        rate=(source.rate or 10.0) / config.capture.every,
+        near=config.near,
+        go_on=config.skip_existing,
+        axes=config.capture.axes,
+        posed=config.capture.poses is not None,
     )
-    outputs = Outputs(folder, settings)
-    if (folder / ALIGNED).is_file():
-        outputs.written.append(folder / ALIGNED)
-    remaining = None if names is None else set(names)
-    if names is not None and before:
-        remaining = outputs.remaining(names)
-        say(f"{len(set(names)) - len(remaining)} frame(s) are in {folder} already, in each of its outputs")
-    wrong = run(source, selection, predictor, outputs, remaining, config.on_error == "stop", hints)
-    _report(outputs)
-    for note in source.notes:
-        print(f"Warning: {note}")
-    if wrong:
-        number = "some" if names is None else f"{len(wrong)} of {len(names)}"
-        raise FileFormatError(f"{number} frames were left out. The first: {wrong[0]}")
-    return outputs.written
+
+
+def read_settings(folder: Path) -> dict[str, Any]:
+    """Settings of the run that wrote a folder, by key; none where there was none.
+
+    Raises:
+        FileFormatError: the file that has them is damaged.
+    """
+    path = folder / SETTINGS
+    return dict(load_keys(path, "the settings of a run")) if path.is_file() else {}
+
+
+def check_settings(settings: Mapping[str, Any], earlier: Mapping[str, Any], folder: Path) -> None:
+    """Refuse to mix results of other settings into a folder.
+
+    Raises:
+        ArgumentError: a setting that changes what frames become is another.
+    """
+    # As text: to YAML 1e-5 is a word, and to Python a number.
+    changes = [
+        f"{key} was {value}, is {settings[key]}"
+        for key, value in earlier.items()
+        if key in settings and key not in (*FREE, BASIS) and str(value) != str(settings[key])
+    ]
+    basis = dict(earlier.get(BASIS) or {})
+    others = [f"of another {name}" for name in basis if str(basis[name]) != str(settings[BASIS].get(name))]
+    if changes := changes or others:
+        raise ArgumentError(
+            f"output: {folder} holds results of other settings ({', '.join(changes)}); set them as before, choose "
+            "another output=..., or remove that folder"
+        )
+
+
+def write_settings(settings: Mapping[str, Any], predictor: Predictor, folder: Path) -> None:
+    """Print the settings, and keep them in the folder."""
+    print_config(OmegaConf.create(dict(settings)), folder)
+    near = "found in the first frame" if predictor.min_depth is None else f"{predictor.min_depth:.3f} m"
+    weights = f", weights {settings['checkpoint'] or DEFAULT}" if settings["method"] == "network" else ""
+    console.print(f"nearest hypothesis {near}{weights}")
 
 
 def run(
@@ -316,7 +376,7 @@ def run(
     stop_on_error: bool = False,
     hints: HintFiles | Literal["last"] | None = None,
 ) -> list[str]:
-    """Write the depth of frame after frame, while the next ones are estimated; returns what was wrong.
+    """Write the depth of frame after frame, while the next ones are estimated; returns the errors.
 
     Args:
         source: of the frames.
@@ -327,48 +387,44 @@ def run(
         stop_on_error: whether to raise the error of a frame that cannot be read.
         hints: of ``estimate_frames``.
     """
-    # Colours follow the first frame of all: whoever goes on looks at that one once more, and only then at what is left.
-    needs_first = bool(remaining) and outputs.follows_first_frame
 
-    def is_remaining(name: str) -> bool:
+    def selected(name: str) -> bool:
         return remaining is None or name in remaining
 
-    def is_needed(name: str) -> bool:
-        return is_remaining(name) or (needs_first and outputs.near is None)
+    def write(estimate: Estimate) -> Estimate:
+        if estimate.depth is not None:
+            outputs.write(estimate.frame.name, estimate.depth)
+        return estimate
 
-    wrong: list[str] = []
-    number, busy, began = 0, 0.0, time.perf_counter()
-    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[speed]}"), TimeRemainingColumn())
+    errors: list[str] = []
+    count, busy, began = 0, 0.0, time.perf_counter()
     total = None if remaining is None else len(remaining)
-    estimates = estimate_frames(source, selection, predictor, is_needed, total, hints)
+    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[speed]}"), TimeRemainingColumn())
+    estimates = estimate_frames(source, selection, predictor, selected, total, hints)
     try:
         with (
+            closing(ordered_map(write, estimates, 1, waiting=2, finish=True)) as results,
             closing(estimates),  # type: ignore[type-var]
             Progress(
                 TextColumn("estimating depth"), *columns, console=console, refresh_per_second=4
             ) as progress,
-            Behind[Estimate](lambda done: outputs.write(done.frame.name, done.depth)) as behind,  # type: ignore[arg-type]
         ):
             task = progress.add_task("", total=total, speed="")
-            for frame, depth, seconds in estimates:
-                if depth is not None:
-                    if outputs.is_new:
-                        for sentence in depth.compensations[0].described() if depth.compensations else ():
-                            say(f"preparation {sentence} (in the first frame)")
-                    outputs.begin(depth)
-                if not is_remaining(frame.name):
+            for frame, depth, seconds in results:
+                if not selected(frame.name):
                     continue
                 if depth is not None:
-                    busy += seconds
-                    behind.put(Estimate(frame, depth))
-                    number += 1
+                    if not count:
+                        for sentence in depth.compensations[0].described() if depth.compensations else ():
+                            say(f"preparation {sentence} (in the first frame)")
+                    count, busy = count + 1, busy + seconds
                 elif stop_on_error and frame.error is not None:
                     raise frame.error
                 else:
-                    if str(frame.error) not in wrong:  # many frames may be missing for one reason
+                    if str(frame.error) not in errors:  # many frames may be missing for one reason
                         say(f"left out: {frame.error}", style="yellow")
-                    wrong.append(str(frame.error))
-                speed = f"{number / (time.perf_counter() - began):.2f} frames/s"
+                    errors.append(str(frame.error))
+                speed = f"{count / (time.perf_counter() - began):.2f} frames/s"
                 progress.update(task, advance=1, speed=speed)
     except KeyboardInterrupt:
         if not source.live:  # live cameras have no other end
@@ -376,84 +432,17 @@ def run(
     finally:
         outputs.close()
     took = time.perf_counter() - began
-    if number:
-        share = f"the network busy {100 * busy / took:.0f} % of the time"
-        say(f"{number} frame(s) in {took:.1f} s: {number / took:.2f} frames/s, {share}")
-    return wrong
+    if count:
+        fraction = f"the network busy {100 * busy / took:.0f} % of the time"
+        say(f"{count} frame(s) in {took:.1f} s: {count / took:.2f} frames/s, {fraction}")
+    return errors
 
 
-def _report(outputs: Outputs) -> None:
-    """Print the files, and what is to be known of all frames together."""
-    for path in outputs.written[:MOST_PATHS]:
+def report(written: list[Path], outputs: Outputs) -> None:
+    """Print the files, and the results of all frames together."""
+    for path in written[:MOST_PATHS]:
         print(path)
-    if len(outputs.written) > MOST_PATHS:
-        print(f"... {len(outputs.written)} files in {outputs.folder}")
-    if shares := outputs.consistency.values():
-        mean = sum(shares) / len(shares)
-        print(
-            f"photo-consistency: {mean:.3f} of what winner-takes-all reaches, mean of {len(shares)} frame(s)"
-        )
-    if outputs.seam > 0:
-        print(
-            f"panorama: seams are at the depth estimated, {outputs.seam:.2f} m (median of the first frame, where two "
-            "cameras see); what is nearer or farther than its estimate is seen twice there, or cut off"
-        )
-    if outputs.fused is not None and "fused" in outputs.settings.outputs:
-        points, frames = len(outputs.fused.points().points), len(outputs.fused.frames)
-        print(
-            f"fused: {points} points of {frames} frame(s), one for each cube of {100 * outputs.fused.side:.1f} cm that "
-            f"frames agree on, of {len(outputs.fused)}{'' if points else '; a larger voxel= has some'}"
-        )
-    for warning in outputs.warnings:
-        print(f"Warning: {warning}")
-    if outputs.shares and min(outputs.shares) < ENOUGH:
-        print(
-            f"Two cameras see {100 * min(outputs.shares):.0f} % of all directions at the depth estimated. Elsewhere "
-            "nothing can be measured: grey in pictures, left out of point clouds, False in matched_panorama of arrays."
-        )
-
-
-def _basis(config: PredictConfig, rig: CameraRig) -> dict[str, str | None]:
-    """What the files hold that settings name: the same path may lead to another calibration or trajectory later on."""
-    rig = rig.replaced(masks={}) if config.capture.masks == AUTO else rig  # which follow from the frames
-    poses = config.capture.poses
-    return {
-        "rig": rig_fingerprint(rig, digits=6),
-        "trajectory": None if poses is None else str(checksum(Path(poses))),
-    }
-
-
-def _settings_before(folder: Path) -> dict[str, Any]:
-    """Settings of the run that wrote a folder, by key; none where there was none.
-
-    Raises:
-        FileFormatError: the file that has them is damaged.
-    """
-    path = folder / "config.yaml"
-    if not path.is_file():
-        return {}
-    try:
-        stored = read_yaml(path)
-        stored = OmegaConf.create(stored if isinstance(stored, dict) else {})
-        settings = {str(key): stored[key] for key in stored}
-    except (FileFormatError, OmegaConfBaseException, OSError) as error:
-        raise FileFormatError(f"{path}: is damaged ({error}); {ANEW}") from None
-    if not settings:
-        raise FileFormatError(f"{path}: expected the settings of the run that wrote it, got none; {ANEW}")
-    return settings
-
-
-def _check_settings(config: PredictConfig, before: Mapping[str, Any], folder: Path) -> None:
-    """Refuse to mix results of other settings into a folder.
-
-    Raises:
-        ArgumentError: a setting that changes what frames become is another.
-    """
-    now = OmegaConf.create(flat(config))
-    wrong = [key for key in before if key in now and key not in FREE and before[key] != now[key]]
-    if wrong:
-        changes = ", ".join(f"{key} was {before[key]}, is {now[key]}" for key in wrong)
-        raise ArgumentError(
-            f"skip_existing: {folder} holds results of other settings ({changes}); set them as before, or give another "
-            "output="
-        )
+    if len(written) > MOST_PATHS:
+        print(f"... {len(written)} files in {outputs.results.path}")
+    for sentence in outputs.described():
+        print(sentence)

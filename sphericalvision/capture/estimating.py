@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth of frame after frame: some are read ahead, on a CPU several are estimated side by side, and written behind."""
+"""Depth of frame after frame: some are read ahead, and on a CPU several are estimated side by side."""
 
 from __future__ import annotations
 
@@ -8,26 +8,27 @@ import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, Generic, Literal, NamedTuple, TypeVar
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import torch
 
-from sphericalvision.capture.hints import CarriedDepth, Hint
+from sphericalvision.capture.hints import CarriedDepth, Hint, with_hint
 from sphericalvision.capture.predictor import Predictor
 from sphericalvision.capture.result import Depth
 from sphericalvision.capture.sources.frames import Frame, Selection, Source
 from sphericalvision.core import ArgumentError, FileFormatError
 
-__all__ = ["Behind", "Estimate", "ahead", "estimate_frames", "side_by_side", "threads_kept"]
+__all__ = ["Estimate", "ahead", "estimate_frames", "ordered_map", "threads_kept"]
 
 MOST_WORKERS = 4
 """Frames that are estimated at once, each in memory of its own."""
 BEFORE = 10
 """Frames whose depth counts in that of a later one, where it is carried on: what is older has faded to a third."""
 WAIT = 0.1
-"""Seconds after which a thread that waits looks whether it is still wanted."""
+"""Seconds after which a thread that waits looks whether its results are still needed."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -38,8 +39,8 @@ class Estimate(NamedTuple):
 
     Attributes:
         frame: as it came.
-        depth: None where the images could not be read, or nobody wants it any more.
-        seconds: that the network was busy, as a share of all that is estimated side by side.
+        depth: None where the images could not be read, or the frame was not selected.
+        seconds: that the network was busy, as a fraction of all that is estimated side by side.
     """
 
     frame: Frame
@@ -52,69 +53,94 @@ def estimate_frames(
     selection: Selection,
     predictor: Predictor,
     selected: Callable[[str], bool] = lambda name: True,
-    number: int | None = None,
+    count: int | None = None,
     hints: Callable[[str], Hint] | Literal["last"] | None = None,
 ) -> Iterator[Estimate]:
     """Yield the depth of the selected frames in their order, while a thread reads the next ones.
 
     On a CPU as many frames as torch has threads, up to four, are estimated side by side; with the last frame as a hint
     one after the other, and up to ten frames that are not selected before each that is, too, so that a continuation
-    goes on with them.
+    starts from them.
 
     Args:
         source: of the frames.
         selection: which of them.
         predictor: of their depth.
         selected: asked by a frame's name before it is read, and again before it is estimated.
-        number: of the frames, where that is known.
+        count: of the frames, where that is known.
         hints: of a frame by its name; or ``"last"``: the depth of the frame before, where rigs move in one world.
     """
-    order = (source.names(selection) or []) if hints == "last" else []
-    places = {name: place for place, name in enumerate(order)}
-    last: tuple[int, CarriedDepth | None] = (0, None)
-
-    def is_needed(name: str) -> bool:
-        after = places.get(name, 0) + 1
-        return selected(name) or any(map(selected, order[after : after + BEFORE]))
+    last = _LastFrame(source.names(selection) or [], selected) if hints == "last" else None
+    is_needed = selected if last is None else last.is_needed
 
     def estimate(frame: Frame) -> Estimate:
-        nonlocal last
         if frame.images is None or not is_needed(frame.name):
             return Estimate(frame, None)
         start = time.perf_counter()
-        place = places.get(frame.name, 0)
-        try:
-            hint = hints(frame.name) if callable(hints) else last[1] if place - last[0] <= BEFORE else None
-        except (FileFormatError, OSError) as error:
-            return Estimate(frame._replace(images=None, error=error), None)
-        try:
-            depth = (predictor if frame.rig is None else predictor.with_changes(frame.rig))(
-                frame.images, hint
-            )
-        except ArgumentError as error:
-            if not callable(hints) or not str(error).startswith("hint: "):
-                raise
-            wrong = FileFormatError(f"frame {frame.name}, {error}")  # of this hint alone
-            return Estimate(frame._replace(images=None, error=wrong), None)
-        if hints == "last":
-            last = place, Hint.of_depth(depth, torch.eye(4))
-        return Estimate(
-            frame, depth if selected(frame.name) else None, (time.perf_counter() - start) / workers
-        )
+        used = predictor if frame.rig is None else predictor.with_changes(frame.rig)
+        if last is not None:
+            depth = last.averaged(frame.name, used(frame.images))
+        elif callable(hints):
+            try:
+                depth = with_hint(used, frame.images, hints(frame.name))
+            except (FileFormatError, OSError) as error:
+                return Estimate(frame._replace(images=None, error=error), None)
+            except ArgumentError as error:
+                if not str(error).startswith("hint: "):
+                    raise
+                wrong = FileFormatError(f"frame {frame.name}, {error}")  # of this hint alone
+                return Estimate(frame._replace(images=None, error=wrong), None)
+        else:
+            depth = used(frame.images)
+        seconds = (time.perf_counter() - start) / workers
+        return Estimate(frame, depth if selected(frame.name) else None, seconds)
 
     frames = ahead(source.frames(selection, is_needed), newest=source.live)
     with threads_kept() as threads:
-        most = MOST_WORKERS if number is None else min(MOST_WORKERS, max(1, number))
-        workers = min(threads, most) if predictor.device.type == "cpu" and hints != "last" else 1
-        estimated = side_by_side(estimate, frames, workers, threads // workers)
-        try:
-            yield from estimated
-        finally:
-            estimated.close()  # type: ignore[attr-defined]
-            frames.close()  # type: ignore[attr-defined]
+        most = MOST_WORKERS if count is None else min(MOST_WORKERS, max(1, count))
+        workers = min(threads, most) if predictor.device.type == "cpu" and last is None else 1
+        with contextlib.closing(frames):
+            if workers == 1:
+                yield from map(estimate, frames)
+            else:
+                with contextlib.closing(
+                    ordered_map(estimate, frames, workers, threads // workers)
+                ) as results:
+                    yield from results
 
 
-def ahead(items: Iterable[Item], most: int = 3, newest: bool = False) -> Iterator[Item]:
+@dataclass
+class _LastFrame:
+    """The depth of the frame before, carried on from frame to frame.
+
+    Args:
+        order: names of all frames.
+        selected: whether the depth of a frame is asked for.
+    """
+
+    order: list[str]
+    selected: Callable[[str], bool]
+    position: dict[str, int] = field(init=False)
+    before: tuple[int, CarriedDepth] | None = None
+
+    def __post_init__(self) -> None:
+        self.position = {name: position for position, name in enumerate(self.order)}
+
+    def is_needed(self, name: str) -> bool:
+        """Whether a frame or one of the next ten is selected."""
+        start = self.position.get(name, 0)
+        return any(map(self.selected, [name, *self.order[start + 1 : start + 1 + BEFORE]]))
+
+    def averaged(self, name: str, depth: Depth) -> Depth:
+        """The depth of a frame, averaged with that of the frame before unless that is long ago."""
+        position = self.position.get(name, 0)
+        if self.before is not None and position - self.before[0] <= BEFORE:
+            depth = self.before[1].averaged(depth)
+        self.before = position, Hint.of_depth(depth, torch.eye(4))
+        return depth
+
+
+def ahead(items: Iterable[Item], most: int = 3, newest: bool = False) -> Generator[Item, None, None]:
     """Yield items that a thread takes from an iterable while the caller works on earlier ones.
 
     An exception of the iterable is raised where its item would have come. The thread ends when the caller stops.
@@ -138,7 +164,8 @@ def ahead(items: Iterable[Item], most: int = 3, newest: bool = False) -> Iterato
                 return
             except queue.Full:
                 if newest and kind == "item":
-                    _drop_one(waiting)
+                    with contextlib.suppress(queue.Empty):
+                        waiting.get_nowait()
 
     def read() -> None:
         torch.set_num_threads(1)
@@ -170,107 +197,53 @@ def ahead(items: Iterable[Item], most: int = 3, newest: bool = False) -> Iterato
         thread.join()
 
 
-def side_by_side(
-    function: Callable[[Item], Result], items: Iterable[Item], workers: int, threads: int = 1
-) -> Iterator[Result]:
-    """Yield what a function makes of items, in their order, while it works on the next ones in threads.
+def ordered_map(
+    function: Callable[[Item], Result],
+    items: Iterable[Item],
+    workers: int,
+    threads: int = 1,
+    waiting: int = 0,
+    finish: bool = False,
+) -> Generator[Result, None, None]:
+    """Yield a function's results for items, in their order, while threads work on the next ones.
 
-    Two frames with a core each are done sooner than two frames, one after the other, with two cores: cores that share
-    a frame wait for each other hundreds of times.
+    Two frames with a core each are done sooner than two frames, one after the other, with two cores: cores that work on
+    one frame wait for each other hundreds of times. The first exception of the function is raised in its place.
 
     Args:
-        function: called in the threads; here, if there is one worker.
-        items: taken as they are needed, one more than there are workers.
+        function: called in the threads.
+        items: iterated here, one more than there are workers, and as many more as may be ``waiting``.
         workers: calls at once.
         threads: that torch has in each.
+        waiting: items that may wait for a worker while the iteration goes on.
+        finish: whether items are worked on that wait when the iteration is interrupted, as by Ctrl+C; else they are
+            dropped.
 
     Examples:
-        >>> list(side_by_side(abs, [-3, 2, -1], workers=2))
+        >>> list(ordered_map(abs, [-3, 2, -1], workers=2))
         [3, 2, 1]
     """
-    if workers == 1:
-        yield from map(function, items)
-        return
-    waiting: deque[Future[Result]] = deque()
-    pool = ThreadPoolExecutor(workers, "side by side", torch.set_num_threads, (threads,))
+    futures: deque[Future[Result]] = deque()
+    pool = ThreadPoolExecutor(workers, "ordered map", torch.set_num_threads, (threads,))
+    failed = False
     try:
         for item in items:
-            waiting.append(pool.submit(function, item))
-            while len(waiting) > workers or (waiting and waiting[0].done()):
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
+            futures.append(pool.submit(function, item))
+            while len(futures) > workers + waiting or (futures and futures[0].done()):
+                failed = futures[0].exception() is not None
+                yield futures.popleft().result()
+        while futures:
+            failed = futures[0].exception() is not None
+            yield futures.popleft().result()
     finally:
-        pool.shutdown(cancel_futures=True)
+        pool.shutdown(cancel_futures=failed or not finish)
 
 
 @contextlib.contextmanager
 def threads_kept() -> Iterator[int]:
     """Give back to torch the number of threads that it has here, whatever threads within ask for; yields it."""
-    number = torch.get_num_threads()
+    count = torch.get_num_threads()
     try:
-        yield number
+        yield count
     finally:
-        torch.set_num_threads(number)
-
-
-def _drop_one(waiting: queue.Queue[Any]) -> None:
-    with contextlib.suppress(queue.Empty):
-        waiting.get_nowait()
-
-
-class Behind(Generic[Item]):
-    """Calls a function with items one after the other, in a thread, while the caller goes on.
-
-    As a context: leaving it waits until all is done. The first exception of the function is raised at the next ``put``
-    or at the end; what waits behind it is not done.
-
-    Args:
-        function: called with each item.
-        most: items that wait at once; ``put`` waits beyond.
-
-    Examples:
-        >>> done = []
-        >>> with Behind(done.append, most=2) as behind:
-        ...     for number in range(4):
-        ...         behind.put(number)
-        >>> done
-        [0, 1, 2, 3]
-    """
-
-    def __init__(self, function: Callable[[Item], Any], most: int = 3) -> None:
-        self._function = function
-        self._waiting: queue.Queue[tuple[bool, Any]] = queue.Queue(most)
-        self._error: BaseException | None = None
-        self._thread = threading.Thread(target=self._work, name="writing behind", daemon=True)
-
-    def __enter__(self) -> Behind[Item]:
-        self._thread.start()
-        return self
-
-    def put(self, item: Item) -> None:
-        """Have the function called with ``item``; waits while too many do already."""
-        self._raise()
-        self._waiting.put((True, item))
-
-    def __exit__(self, kind: Any, *_: Any) -> None:
-        self._waiting.put((False, None))
-        self._thread.join()
-        if kind is None:
-            self._raise()
-
-    def _work(self) -> None:
-        torch.set_num_threads(1)  # more would stand in the way of the network
-        while True:
-            more, item = self._waiting.get()
-            if not more:
-                return
-            if self._error is None:
-                try:
-                    self._function(item)
-                except BaseException as error:
-                    self._error = error
-
-    def _raise(self) -> None:
-        if self._error is not None:
-            raise self._error
+        torch.set_num_threads(count)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import time
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from sphericalvision.cameras.rig import FAR
 from sphericalvision.capture.points import SurfacePoints
 from sphericalvision.capture.result import DepthImage
 from sphericalvision.core import ArgumentError, FileFormatError
+from sphericalvision.io.arrays import read_npz
 from sphericalvision.io.files import atomic_write
 from sphericalvision.sphere import Equirectangular
 
@@ -29,6 +29,8 @@ FARTHER = 0.05
 """Share of the distance, beside two cubes, by which a frame looks past what it sees through."""
 MOST = 8_000_000
 """Cubes, of 56 bytes each; of more the sides are doubled."""
+MAX_STATE = 2**30
+"""Bytes of the state: of that many cubes, and the names of frames."""
 BITS = 21
 """Of a cube's place along an axis, counted from the middle of all places."""
 RESTED = 10
@@ -157,14 +159,19 @@ class FusedCloud:
         Raises:
             FileFormatError: it is something else.
         """
+        keys = ("side", "frames", "cubes", "sums", "origin")
+        arrays = read_npz(path, keys, MAX_STATE, "a fused cloud; delete it to fuse all frames again")
         try:
-            with np.load(path) as arrays:
-                fused = cls(float(arrays["side"]))
-                fused.frames = dict.fromkeys(arrays["frames"].tolist())
-                fused._cubes, fused._sums = (torch.from_numpy(arrays[name]) for name in ("cubes", "sums"))
-                if "origin" in arrays:
-                    fused.origin = torch.from_numpy(arrays["origin"])
-        except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            fused = cls(float(arrays["side"]))
+            fused.frames = dict.fromkeys(map(str, arrays["frames"].tolist()))
+            fused._cubes, fused._sums, fused.origin = (torch.from_numpy(arrays[key]) for key in keys[2:])
+            if (
+                fused._sums.shape != (len(fused._cubes), 12)
+                or fused.origin.shape != (3,)
+                or not fused.side > 0
+            ):
+                raise ValueError(f"{tuple(fused._sums.shape)} sums of {len(fused._cubes)} cubes")
+        except (ValueError, TypeError) as error:
             raise FileFormatError(
                 f"{path}: no fused cloud ({error}); delete it to fuse all frames again"
             ) from error

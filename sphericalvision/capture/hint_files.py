@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -17,14 +16,14 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.hints import Hint, inverse_of
 from sphericalvision.capture.sources.patterns import find_files, find_labels
 from sphericalvision.core import ArgumentError, FileFormatError
-from sphericalvision.data.point_files import read_points
+from sphericalvision.data.point_files import POINT_SUFFIXES, read_points
+from sphericalvision.io.arrays import read_npy, read_npz
 from sphericalvision.io.images import read_pages
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sphere.resampling.views import Views
 
 __all__ = ["HintFiles"]
 
-POINTS = (".ply", ".pcd", ".bin")
 MILLIMETRES = 1000.0
 MOST = 65535
 """That 16 bits hold: what is farther, or was not measured."""
@@ -38,7 +37,7 @@ class HintFiles:
     =========================  ==================================================================================
     file                       content
     =========================  ==================================================================================
-    ``.ply`` ``.pcd`` ``.bin`` points of a scanner in the frame of the calibration, metres
+    ``.ply`` ``.pcd`` ``.bin`` points of a scanner in the frame of the calibration, metres; ``.csv`` and ``.xyz``, too
     ``.npy``                   such points ``(P, 3)``; or an image of depth
     image                      depth: 16 bits in millimetres, 0 and 65535 where unknown, or floating point in
                                metres, 0 and infinite where unknown; of each camera where the pattern has
@@ -108,9 +107,12 @@ class HintFiles:
             return Hint.of_views(Views(images, rig), self.quantity, self.fit)
         (path,) = files.values()
         if path.suffix == ".npz":
-            arrays = _arrays(path)
-            return Hint.of_directions(*arrays, fit=self.fit)
-        values = None if path.suffix in POINTS else _image(path)
+            keys = ("directions", "inverse_depth", "confidence")
+            arrays = read_npz(path, keys, what="as sphericalvision-predict outputs=[npz] writes them")
+            directions, inverse_depth, confidence = (torch.from_numpy(arrays[key]) for key in keys)
+            return Hint.of_directions(directions, inverse_depth, confidence, fit=self.fit)
+        is_points = path.suffix in POINT_SUFFIXES and path.suffix != ".npy"
+        values = None if is_points else _image(path)
         if values is None or (path.suffix == ".npy" and values.shape[1] <= MOST_COLUMNS):
             if self.fit == "affine":
                 raise ArgumentError("hint_fit: affine is for images of inverse depth, got points")
@@ -129,12 +131,7 @@ class HintFiles:
 
 def _image(path: Path) -> Tensor:
     """An array ``(h, w)`` of depth in metres, or of whatever unit."""
-    try:
-        page: Any = (
-            np.load(path, allow_pickle=False) if path.suffix == ".npy" else read_pages(path, "depth")[-1]
-        )
-    except (ValueError, EOFError) as error:
-        raise FileFormatError(f"{path}: is no array of numpy, or is damaged ({error})") from error
+    page: Any = read_npy(path) if path.suffix == ".npy" else read_pages(path, "depth")[-1]
     if page.ndim != 2 or (page.dtype != np.uint16 and page.dtype.kind != "f"):
         raise FileFormatError(
             f"{path}: expected depth (h, w), 16 bits in millimetres or floating point in metres, got {page.dtype} "
@@ -142,16 +139,3 @@ def _image(path: Path) -> Tensor:
         )
     values = torch.from_numpy(page.astype(np.float32))
     return values if page.dtype != np.uint16 else values.where(values < MOST, torch.inf) / MILLIMETRES
-
-
-def _arrays(path: Path) -> tuple[Tensor, Tensor, Tensor]:
-    """Directions, inverse depth and confidence of an earlier result."""
-    keys = ("directions", "inverse_depth", "confidence")
-    try:
-        with np.load(path, allow_pickle=False) as arrays:
-            directions, inverse_depth, confidence = (torch.from_numpy(arrays[key]) for key in keys)
-    except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise FileFormatError(
-            f"{path}: expected {', '.join(keys)}, as sphericalvision-predict outputs=[npz] writes them ({error})"
-        ) from error
-    return directions, inverse_depth, confidence

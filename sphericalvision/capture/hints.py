@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from numbers import Real
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -28,13 +28,13 @@ from sphericalvision.core import (
 from sphericalvision.geometry.surfaces import distance_along
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models.candidate_refinement import ring_around
-from sphericalvision.models.hint_gate import DISTRUST, HintedIndex, agreement
 from sphericalvision.sweep import DepthHint, index_from_inverse_depth
 
 if TYPE_CHECKING:
+    from sphericalvision.capture.predictor import Predictor
     from sphericalvision.sphere.resampling.views import Views
 
-__all__ = ["FITS", "CarriedDepth", "Hint", "HintView", "inverse_of", "warn_if_far"]
+__all__ = ["FITS", "CarriedDepth", "Hint", "HintView", "inverse_of", "with_hint"]
 
 FITS = ("metres", "scale", "affine")
 COMPARED = 2000
@@ -45,8 +45,8 @@ ROUNDS = 10
 """Of fitting, each with less weight for what is far off."""
 MOST_REST = 0.3
 """Of the median inverse depth, the median deviation beyond which a view does not agree."""
-NUMBER, SURE = 16, 0.8
-"""Hypotheses in which a hint is compared with the depth that was found, and the confidence of what is compared."""
+SURE = 0.8
+"""Confidence from which the depth of a frame alone outweighs that of the frame before."""
 SAME_SURFACE = 0.8
 """Of the nearest inverse depth at a vertex, above which points lie on the same surface."""
 FORGETTING = 0.9
@@ -77,9 +77,10 @@ class HintView(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Hint:
-    """Depth of some directions that is known before a network sees the images: ``Predictor(…)(images, hint=hint)``.
+    """Depth of some directions that is known before a network sees the images.
 
-    It may be sparse, blurred or partly wrong; the network weighs it against what the images show.
+    It may be sparse, blurred or partly wrong; the network weighs it against what the images show. A predictor takes it
+    at the vertices of its network: ``predictor(images, hint.on(predictor.grid, predictor.rig))``.
 
     Args:
         views: of ``of_points``, ``of_directions`` or ``of_views``.
@@ -212,7 +213,7 @@ class Hint:
         Args:
             grid: of the network.
             rig: in whose world the views are.
-            answer: of the network without a hint; only where there is something to ``fit``.
+            answer: ``predictor(images)``, the depth without a hint; only where there is something to ``fit``.
 
         Raises:
             ArgumentError: no view can be fitted, as none looks where the answer's surface is.
@@ -364,22 +365,23 @@ def inverse_of(depth: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
     return 1 / depth.where((depth != 0) & depth.isfinite(), torch.nan)
 
 
-def warn_if_far(hint: DepthHint, depth: Depth) -> None:
-    """Warn where a hint agrees hardly with the depth that was found, as one of another frame: it did not count."""
-    known, answer = (
-        index_from_inverse_depth(values.reshape(hint.weight.shape), NUMBER, depth.min_depth).clamp(
-            max=NUMBER - 1
-        )
-        for values in (hint.inverse_depth, depth.inverse_depth)
-    )
-    sure = (depth.confidence.reshape(hint.weight.shape) > SURE).to(answer.dtype)
-    score = float(agreement(HintedIndex(known, hint.weight), answer, sure, 2 * NUMBER - 1).min())
-    if score < DISTRUST:
-        warnings.warn(
-            f"hint: it disagrees with what the images say (agreement {max(score, 0.0):.2f} of 1, by chance 0): not "
-            "used; is it of another frame, or in another unit?",
-            stacklevel=3,
-        )
+def with_hint(predictor: Predictor, images: Mapping[str, Any], hint: Hint) -> Depth:
+    """Return the depth of a frame with a hint, which is fitted to the depth without it where it has to be.
+
+    Args:
+        predictor: whose network takes hints.
+        images: of one frame, as the predictor takes them.
+        hint: of the same frame.
+
+    Raises:
+        ArgumentError: the network takes none, or no part of the hint agrees with the frame.
+    """
+    predictor.check_takes_hints()
+    answer = None if hint.fit == "metres" else predictor(images)
+    if answer is not None and answer.batch_shape:
+        raise ArgumentError("hint: it is of one frame, got images of a batch; give them one by one")
+    assert isinstance(predictor.grid, Icosphere)  # of all networks that take hints
+    return predictor(images, hint.on(predictor.grid, predictor.rig, answer))
 
 
 def _view(

@@ -31,6 +31,8 @@ from sphericalvision.sweep import DepthEstimate, DepthHint
 
 __all__ = ["PRECISIONS", "Frame", "Pipeline", "in_precision"]
 
+BLANK = 1 / 255
+"""Standard deviation of the values of an image, of [0, 1], below which it shows nothing: one step of 8 bits."""
 PRECISIONS = ("float32", "bfloat16", "float16")
 
 
@@ -159,12 +161,25 @@ class Pipeline:
         """
         sizes = self.intake.seen.ndim + 1  # n, 3 and the size
         batch = inputs.shape[:-sizes]
+        frames = inputs.reshape(-1, *inputs.shape[-sizes:])
+        hints = [DepthHint(*hint)] if hint else []
         with in_precision(self.precision, inputs.device):
-            estimate = self.network.predict(
-                inputs.reshape(-1, *inputs.shape[-sizes:]),
-                self.tables,
-                self.intake.seen,
-                *([DepthHint(*hint)] if hint else []),
-            )
+            estimate = self.network.predict(frames, self.tables, self._shown(frames), *hints)
         index, confidence, seen = (values.reshape(*batch, *values.shape[1:]) for values in estimate)
         return DepthEstimate(index.float(), confidence.float(), seen)
+
+    @full_precision
+    def _shown(self, frames: Tensor) -> Tensor:
+        """Where images show something, ``(n, *size)`` or ``(B, n, *size)``.
+
+        An image of one value, of a covered lens or a camera that failed, agrees with everything and with nothing: it
+        shows nothing, so that depth is no surer for it, and not sure at all where fewer than two others look.
+        """
+        seen = self.intake.seen
+        size = tuple(range(-(seen.ndim - 1), 0))
+        weight = seen / seen.sum(size, keepdim=True).clamp(min=1)
+        weight = weight.unsqueeze(1)  # of all channels
+        mean = (weight * frames).sum(size, keepdim=True)
+        variance = (weight * (frames - mean).square()).sum(size, keepdim=True).amax(2)
+        blank = variance < (2 * BLANK) ** 2  # frames are in [-1, 1]
+        return seen & ~blank if needed(blank) else seen

@@ -19,7 +19,6 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.base import check_single
-from sphericalvision.capture.hints import CarriedDepth, Hint, warn_if_far
 from sphericalvision.capture.pipeline import PRECISIONS, Pipeline
 from sphericalvision.capture.preparation.nearest import (
     SCENE_LEVEL,
@@ -37,6 +36,7 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.models import DepthNetwork
 from sphericalvision.models.weights.checkpoints import read_network
+from sphericalvision.sphere import Equirectangular
 from sphericalvision.sphere.intake import as_colors, ordered_images
 from sphericalvision.sweep import DepthHint
 from sphericalvision.sweep.hypotheses import check_hypotheses
@@ -252,74 +252,53 @@ class Predictor:
 
     @no_more_threads_than_cores()
     @torch.inference_mode()
-    def __call__(
-        self, images: Mapping[str, Any], hint: Hint | CarriedDepth | DepthHint | None = None
-    ) -> Depth:
+    def __call__(self, images: Mapping[str, Any], hint: DepthHint | None = None) -> Depth:
         """Estimate depth.
 
         Args:
             images: camera name -> image: numpy or torch, ``(h, w)``, ``(h, w, 3)`` or ``(3, h, w)`` or a batch of them,
                 uint8, uint16 or float in [0, 1], of the size that the camera is calibrated for.
-            hint: depth of some directions that is known beforehand, of one frame; or what the network itself takes, of
-                all frames of a batch. Where it has to be fitted, the frame is estimated without it first. That of the
-                frame before is averaged with the result, whatever the network.
+            hint: depth that is known beforehand, ``(B, V)`` at the vertices of ``grid``; ``Hint.on`` makes it.
 
         Raises:
-            ArgumentError: images of other cameras, or values out of range; a hint for a network that takes none, or one
-                that says nothing of this frame.
+            ArgumentError: images of other cameras, or values out of range; a hint for a network that takes none.
             ShapeError: an image has another size than its camera.
         """
-        if isinstance(hint, CarriedDepth):
-            return hint.averaged(self(images))
         ordered = self._on_device(images)
         colors = Colors(ordered, self._channels)
         pipeline = self._pipeline_for(colors)
-        on_vertices = self._on_vertices(hint, images)
+        checked = None if hint is None else self._checked(hint)
         with self._turn(), self._enough_memory():
             if pipeline.on_cuda:  # bytes go into the graph
-                frame = pipeline(ordered, self.preparation, self._channels, on_vertices)
+                frame = pipeline(ordered, self.preparation, self._channels, checked)
             else:  # what is made of them is at hand for the result
-                frame = pipeline(colors, self.preparation, "rgb", on_vertices)
-        depth = Depth(*frame.estimate, pipeline.network, self.rig, colors, frame.corrections)
-        if on_vertices is not None:
-            warn_if_far(on_vertices, depth)
-        return depth
+                frame = pipeline(colors, self.preparation, "rgb", checked)
+        return Depth(*frame.estimate, pipeline.network, self.rig, colors, frame.corrections)
+
+    @property
+    def grid(self) -> Icosphere | Equirectangular:
+        """The directions of depth, where hints have their values."""
+        return self._network.grid
 
     def check_takes_hints(self) -> None:
         """Raise ``ArgumentError`` if the network takes no hints."""
         self._network.check_takes_hints()
 
-    def _on_vertices(self, hint: Hint | DepthHint | None, images: Mapping[str, Any]) -> DepthHint | None:
-        """A hint as the network takes it."""
-        if hint is None:
-            return None
+    def _checked(self, hint: DepthHint) -> DepthHint:
+        """A hint on the device."""
         self.check_takes_hints()
-        if isinstance(hint, DepthHint):
-            for name, values in zip(("inverse_depth", "weight"), hint, strict=True):
-                check_tensor(f"hint.{name}", values, "(B, V)")
-            on_vertices = DepthHint(*(values.to(self.device, torch.float32) for values in hint))
-            inverse_depth, weight = on_vertices
-            known = (inverse_depth >= 0) & inverse_depth.isfinite()
-            if inverse_depth.shape == weight.shape and not holds(
-                (weight == 0) | ((weight > 0) & (weight <= 1) & known)
-            ):
-                raise ArgumentError(
-                    "hint: expected weights from 0 to 1 and, where they are above 0, inverse depth in 1/m of 0 or more"
-                )
-            return on_vertices
-        check_type("hint", hint, Hint, "Hint.of_points, .of_directions, .of_views or .of_depth make one")
-        grid = self._network.grid
-        assert isinstance(grid, Icosphere)  # of all that take hints
-        if hint.fit == "metres":
-            return hint.on(grid, self.rig)
-        answer = self(images)
-        if answer.batch_shape:
-            if len(answer) > 1:
-                raise ArgumentError(
-                    f"hint: it is of one frame, got images of {len(answer)}; give them one by one"
-                )
-            answer = answer.select(0)
-        return hint.on(grid, self.rig, answer)
+        check_type("hint", hint, DepthHint, "hint.on(predictor.grid, predictor.rig) makes one")
+        for name, values in zip(("inverse_depth", "weight"), hint, strict=True):
+            check_tensor(f"hint.{name}", values, "(B, V)")
+        inverse_depth, weight = result = DepthHint(
+            *(values.to(self.device, torch.float32) for values in hint)
+        )
+        valid = (inverse_depth >= 0) & inverse_depth.isfinite() & (weight > 0) & (weight <= 1)
+        if inverse_depth.shape == weight.shape and not holds((weight == 0) | valid):
+            raise ArgumentError(
+                "hint: expected weights from 0 to 1 and, where they are above 0, inverse depth in 1/m of 0 or more"
+            )
+        return result
 
     def inputs(
         self, images: Mapping[str, Any]

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.core import FileFormatError, check_file
+from sphericalvision.io.arrays import read_npy
 from sphericalvision.io.ply_header import read_ply_header
 
 __all__ = ["POINT_SUFFIXES", "read_points"]
@@ -217,7 +218,7 @@ def _text(path: Path) -> Any:
 
 
 def _npy(path: Path) -> Any:
-    points = np.load(path, allow_pickle=False)
+    points = read_npy(path)
     names = points.dtype.names
     return points if names is None else np.stack([points[axis] for axis in _AXES], 1)
 

@@ -135,15 +135,26 @@ def read_text(path: Path) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def part_of_name(name: str) -> str:
-    """A name from elsewhere as a part of a file's name, which leads nowhere: what is no letter, digit, ``-``, ``_`` or
-    ``.`` becomes ``_``, and names that are changed or longer than 80 characters get a number of their own.
+PORTABLE = r"[^\w.-]"
+"""Characters that a name loses: COLMAP's files list names with spaces between them."""
+SEPARATORS = r"[/\\\x00-\x1f\ud800-\udfff]"
+"""Characters that a name loses if it is to stay as people wrote it."""
+
+
+def part_of_name(name: str, replaced: str = PORTABLE) -> str:
+    """Return a name that comes out of data as a part of a file's name, which leads to no other folder.
+
+    Names that are changed or longer than 80 characters get a number of their own.
+
+    Args:
+        name: of a camera, a frame, a view.
+        replaced: regular expression of the characters that become ``_``: ``PORTABLE`` or ``SEPARATORS``.
 
     Examples:
-        >>> part_of_name("cam1"), part_of_name("../../x")
-        ('cam1', '.._.._x-422533a8')
+        >>> part_of_name("cam1"), part_of_name("../../x"), part_of_name("left eye", SEPARATORS)
+        ('cam1', '.._.._x-422533a8', 'left eye')
     """
-    plain = re.sub(r"[^\w.-]", "_", name)[:80]
+    plain = re.sub(replaced, "_", name)[:80]
     return plain if plain == name else f"{plain}-{zlib.crc32(name.encode(errors='replace')):08x}"
 
 

@@ -24,9 +24,10 @@ from sphericalvision.cameras.calibration.save import rig_formats
 from sphericalvision.capture import Depth, Predictor
 from sphericalvision.capture.export import RigProgram, description
 from sphericalvision.capture.fusing import FusedCloud
-from sphericalvision.capture.outputs import Outputs, Settings
+from sphericalvision.capture.outputs import Outputs
 from sphericalvision.capture.points import SurfacePoints
 from sphericalvision.capture.result import DepthImage
+from sphericalvision.capture.result_folder import Settings
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.models import WinnerTakesAll
 from sphericalvision.sphere import Equirectangular

@@ -17,7 +17,8 @@ import torch
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Predictor
-from sphericalvision.capture.outputs import Outputs, Settings
+from sphericalvision.capture.outputs import Outputs
+from sphericalvision.capture.result_folder import Settings
 from sphericalvision.capture.sources.frames import Frame, Selection
 from sphericalvision.recipes.commands.predict import run
 from sphericalvision.scenes import make_scene, render_rig
@@ -109,7 +110,7 @@ def test_memory_of_the_stream_is_flat(rig: CameraRig, scenes: list[Images], tmp_
     source = Recording(rig, scenes, FRAMES, watch.look)
     outputs = Outputs(tmp_path, Settings([], height=8))
     assert run(source, Selection(), small_predictor(rig), outputs, None) == []
-    assert len(outputs.shares) == FRAMES
+    assert outputs.count == FRAMES
     assert watch.growth < MOST_GROWTH
 
 
@@ -118,4 +119,4 @@ def test_a_few_frames_of_the_stream(rig: CameraRig, scenes: list[Images], tmp_pa
     source = Recording(rig, scenes, 12, lambda: None)
     outputs = Outputs(tmp_path, Settings([], height=8))
     assert run(source, Selection(), small_predictor(rig), outputs, None) == []
-    assert len(outputs.shares) == 12
+    assert outputs.count == 12

@@ -314,7 +314,7 @@ def test_frames_become_one_cloud_which_a_continuation_goes_on_with(
     assert "points of 3 frame(s), one for each cube of 35.0 cm" in " ".join(capsys.readouterr().out.split())
     run("predict", *words, "output=again", "stop=1")
     run("predict", *words, "output=again", "skip_existing=true")
-    assert "1 frame(s) are in " in " ".join(capsys.readouterr().out.split())
+    assert "1 frame(s) are complete in " in " ".join(capsys.readouterr().out.split())
     assert (tmp_path / "again/fused.ply").read_bytes() == whole
     with np.load(tmp_path / "again/fused.npz") as state:
         assert state["frames"].tolist() == ["10.204", "10.304", "10.404"]

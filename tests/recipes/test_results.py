@@ -13,7 +13,10 @@ import trimesh
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Depth
-from sphericalvision.capture.outputs import OUTPUTS, Outputs, Panoramas, Settings, save_frame
+from sphericalvision.capture.outputs import Outputs, save_frame
+from sphericalvision.capture.panoramas import Panoramas
+from sphericalvision.capture.result_folder import Settings
+from sphericalvision.capture.writers import OUTPUTS
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.images import read_image
 from sphericalvision.models import WinnerTakesAll
@@ -46,7 +49,7 @@ def test_every_output_is_what_it_says(tmp_path: Path) -> None:
     outputs = Outputs(tmp_path, Settings(kinds, 32, min_confidence=0.25, voxel=0.1))
     outputs.write("7", depth)
     outputs.close()
-    assert outputs.shares == pytest.approx([1.0], abs=1e-4)
+    assert outputs.count == 1
     assert {path.name for path in outputs.written} == {
         "7_color.png",
         "7_panorama.png",
@@ -69,8 +72,8 @@ def test_every_output_is_what_it_says(tmp_path: Path) -> None:
     }
     assert all(path.is_file() for path in outputs.written)
     assert not torch.equal(read_image(tmp_path / "7_depth.png"), read_image(tmp_path / "7_confidence.png"))
-    assert outputs.fused is not None
-    assert outputs.fused.side == 0.1
+    assert outputs.results.fused is not None
+    assert outputs.results.fused.side == 0.1
     expected = depth.points(0.25, voxel=0.1)
     cloud = trimesh.load(tmp_path / "7_points.ply")
     np.testing.assert_allclose(cloud.vertices, expected.points, atol=1e-6)

@@ -135,9 +135,12 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
     remaining = None if names is None else outputs.remaining(names)
     if names is not None and remaining is not None and len(remaining) < len(set(names)):
         say(f"{len(set(names)) - len(remaining)} frame(s) are complete in {folder} already; skipping them")
-    errors = run(
-        source, config.capture.selection, predictor, outputs, remaining, config.on_error == "stop", hints
-    )
+    try:
+        selection, stop_on_error = config.capture.selection, config.on_error == "stop"
+        errors = run(source, selection, predictor, outputs, remaining, stop_on_error, hints)
+    finally:
+        if not outputs.count and not earlier:  # there are no results that other settings could mix with
+            (folder / SETTINGS).unlink(missing_ok=True)
     written = [path for path in [folder / ALIGNED] if path.is_file()] + outputs.written
     report(written, outputs)
     if errors:

@@ -50,10 +50,12 @@ class Frame(NamedTuple):
     Attributes:
         estimate: index, confidence and seen ``(*b, *grid)``, as of ``Depth``.
         corrections: of each frame, what was taken out of its images; none where that is not asked for.
+        trust: ``(B, 1)`` of the network in the hint, 0 to 1; None without one, or where every hint is trusted.
     """
 
     estimate: DepthEstimate
     corrections: tuple[Correction, ...]
+    trust: Float[Tensor, "B one"] | None = None
 
 
 class Pipeline:
@@ -116,7 +118,8 @@ class Pipeline:
         images, hint = images[:number], images[number:]
         colors = [as_colors(image, channels) for image in images]
         inputs, corrections = self.inputs(dict(zip(self.rig.names, colors, strict=True)), preparation)
-        return Frame((estimate or self.estimate)(inputs, *hint), corrections)
+        result, trust = (estimate or self.estimate)(inputs, *hint)
+        return Frame(result, corrections, trust)
 
     @full_precision
     def inputs(
@@ -152,8 +155,8 @@ class Pipeline:
 
     def estimate(
         self, inputs: Float[Tensor, "*batch_and_size"], *hint: Float[Tensor, "_ _"]
-    ) -> DepthEstimate:
-        """Return index, confidence and seen of what ``inputs`` returned, float32, with the same batch.
+    ) -> tuple[DepthEstimate, Tensor | None]:
+        """Return index, confidence and seen of what ``inputs`` returned, float32, with the same batch; and the trust.
 
         Args:
             inputs: of the method of that name.
@@ -162,11 +165,15 @@ class Pipeline:
         sizes = self.intake.seen.ndim + 1  # n, 3 and the size
         batch = inputs.shape[:-sizes]
         frames = inputs.reshape(-1, *inputs.shape[-sizes:])
-        hints = [DepthHint(*hint)] if hint else []
+        images = (frames, self.tables, self._shown(frames))
+        trust = None
         with in_precision(self.precision, inputs.device):
-            estimate = self.network.predict(frames, self.tables, self._shown(frames), *hints)
+            if hint:
+                estimate, trust = self.network.predict_with_trust(*images, DepthHint(*hint))
+            else:  # networks of others may not know what a hint is
+                estimate = self.network.predict(*images)
         index, confidence, seen = (values.reshape(*batch, *values.shape[1:]) for values in estimate)
-        return DepthEstimate(index.float(), confidence.float(), seen)
+        return DepthEstimate(index.float(), confidence.float(), seen), trust
 
     @full_precision
     def _shown(self, frames: Tensor) -> Tensor:

@@ -7,6 +7,7 @@ import copy
 import os
 import pickle
 import threading
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from multiprocessing.reduction import ForkingPickler
@@ -45,6 +46,8 @@ from sphericalvision.threads import available_cores
 __all__ = ["METHODS", "Predictor"]
 
 METHODS = ("network", "semi_global")
+HARDLY = 0.5
+"""Trust of a network in a hint below which a warning says so: at 0 the hint is not used at all."""
 
 
 class Colors(Mapping[str, Tensor]):
@@ -273,6 +276,12 @@ class Predictor:
                 frame = pipeline(ordered, self.preparation, self._channels, checked)
             else:  # what is made of them is at hand for the result
                 frame = pipeline(colors, self.preparation, "rgb", checked)
+        if frame.trust is not None and (trust := float(frame.trust.min())) < HARDLY:
+            warnings.warn(
+                f"hint: it disagrees with what the images show, and counts with {trust:.2f} of its weight; is it of "
+                "another frame, or in another unit?",
+                stacklevel=2,
+            )
         return Depth(*frame.estimate, pipeline.network, self.rig, colors, frame.corrections)
 
     @property

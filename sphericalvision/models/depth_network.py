@@ -195,11 +195,33 @@ class DepthNetwork(RemembersArguments):
         self.check_images(images, seen, hint)
         return self._estimate(images, rig, seen, hint)
 
+    def predict_with_trust(
+        self,
+        images: Float[Tensor, "B n C *size"],
+        rig: CameraRig | Any,
+        seen: Bool[Tensor, "B n *size"] | Bool[Tensor, " n *size"] | None,
+        hint: DepthHint,
+    ) -> tuple[DepthEstimate, Float[Tensor, "B one"] | None]:
+        """Return what ``predict`` does, and how far the network trusted the hint, ``(B, 1)`` from 0 to 1.
+
+        None from a network that trusts every hint. Arguments and errors are those of ``predict``.
+        """
+        if type(self).predict is not DepthNetwork.predict:  # of others, who may change the images
+            return self.predict(images, rig, seen, hint), None
+        self.check_images(images, seen, hint)
+        return self._estimate_and_trust(images, rig, seen, hint)
+
     def _estimate(
         self, images: Tensor, rig: CameraRig | Any, seen: Tensor | None, hint: DepthHint | None
     ) -> DepthEstimate:
         """What ``predict`` returns; images, ``seen`` and hint have the right shapes."""
         raise NotImplementedError(f"{type(self).__name__}._estimate")
+
+    def _estimate_and_trust(
+        self, images: Tensor, rig: CameraRig | Any, seen: Tensor | None, hint: DepthHint | None
+    ) -> tuple[DepthEstimate, Tensor | None]:
+        """What ``predict_with_trust`` returns."""
+        return self._estimate(images, rig, seen, hint), None
 
     def forward(
         self,

@@ -220,6 +220,11 @@ class RefinedSweepNet(DepthNetwork):
     def _estimate(
         self, images: Tensor, rig: CameraRig | RefinedTables, seen: Tensor | None, hint: DepthHint | None
     ) -> DepthEstimate:
+        return self._estimate_and_trust(images, rig, seen, hint)[0]
+
+    def _estimate_and_trust(
+        self, images: Tensor, rig: CameraRig | RefinedTables, seen: Tensor | None, hint: DepthHint | None
+    ) -> tuple[DepthEstimate, Tensor | None]:
         tables = rig if isinstance(rig, RefinedTables) else self.tables(rig)
         check_tables(tables.seen, images)
         views = self.views(images, tables.seen if seen is None else seen)
@@ -231,7 +236,8 @@ class RefinedSweepNet(DepthNetwork):
         # Nothing there: as far as can be. What is there is not: an index of nearly 0 is a depth of kilometres.
         index = index.clamp(min=FARTHEST).masked_fill(sky >= 0, 0.0)
         scale = (self.num_hypotheses - 1) / (self.inner_hypotheses - 1)
-        return DepthEstimate(index * scale, confidence.sigmoid().masked_fill(~seen_by_two, 0.0), seen_by_two)
+        confidence = confidence.sigmoid().masked_fill(~seen_by_two, 0.0)
+        return DepthEstimate(index * scale, confidence, seen_by_two), fused.trust
 
     def views(
         self,

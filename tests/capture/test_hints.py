@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from sphericalvision import Predictor
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Depth, Hint
 from sphericalvision.capture.hint_files import HintFiles
+from sphericalvision.capture.hints import with_hint
 from sphericalvision.core import ArgumentError, ArgumentTypeError, ShapeError
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.icosphere import Icosphere
@@ -25,7 +27,7 @@ from sphericalvision.models import WinnerTakesAll
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sphere.resampling.views import Views
-from sphericalvision.sweep import DepthHint, index_from_depth
+from sphericalvision.sweep import index_from_depth
 
 SCENE, GRID = make_scene("room", seed=4), Icosphere(5)
 
@@ -300,17 +302,24 @@ def test_a_predictor_takes_hints_and_says_if_one_is_of_another_frame() -> None:
         return float((depth.inverse_depth - 1 / true).abs().mean())
 
     points = rig.center + true[::3, None] * GRID.vertices[::3]
-    plain, hinted = predictor(images), predictor(images, Hint.of_points(points))
+    plain, hinted = predictor(images), with_hint(predictor, images, Hint.of_points(points))
     assert mean_error(hinted) < 0.8 * mean_error(plain)
-    assert mean_error(predictor(images, Hint.of_points(points * 7, fit="scale"))) < 0.9 * mean_error(plain)
-    with pytest.warns(
-        UserWarning, match=r"hint: it disagrees with what the images say .*: not used; is it of another"
-    ):
-        wrong = predictor(images, Hint.of_points(points * 0.3))
-    torch.testing.assert_close(wrong.index, plain.index, rtol=0, atol=0)
-    with pytest.raises(ArgumentTypeError, match="hint: expected a Hint"):
+    scaled = with_hint(predictor, images, Hint.of_points(points * 7, fit="scale"))
+    assert mean_error(scaled) < 0.9 * mean_error(plain)
+    for factor in (
+        0.3,
+        0.83,
+        1.32,
+    ):  # however little it is off: a hint without an effect is one with a warning
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            wrong = with_hint(predictor, images, Hint.of_points(points * factor))
+        unused = torch.equal(wrong.index, plain.index)
+        assert unused or factor != 0.3
+        assert not unused or [w for w in caught if "counts with 0.00 of its weight" in str(w.message)]
+    with pytest.raises(ArgumentTypeError, match="hint: expected a DepthHint"):
         predictor(images, points)  # type: ignore[arg-type]
-    near = DepthHint(*Hint.of_points(points).on(GRID, predictor.rig))
+    near = Hint.of_points(points).on(GRID, predictor.rig)
     torch.testing.assert_close(
         predictor(images, near._replace(weight=near.weight.double())).index, hinted.index
     )
@@ -322,7 +331,7 @@ def test_a_predictor_takes_hints_and_says_if_one_is_of_another_frame() -> None:
         with pytest.raises((ArgumentError, ArgumentTypeError), match=message):
             predictor(images, bad)
     batch = {name: image[None].repeat(2, 1, 1, 1) for name, image in images.items()}
-    with pytest.raises(ArgumentError, match="hint: it is of one frame, got images of 2"):
-        predictor(batch, Hint.of_points(points, fit="scale"))
+    with pytest.raises(ArgumentError, match="hint: it is of one frame"):
+        with_hint(predictor, batch, Hint.of_points(points, fit="scale"))
     with pytest.raises(ArgumentError, match="hint: SemiGlobalSweep takes none"):
-        Predictor(rig, method="semi_global", level=4, min_depth=0.5)(images, Hint.of_points(points))
+        Predictor(rig, method="semi_global", level=4, min_depth=0.5)(images, near)

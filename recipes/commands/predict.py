@@ -18,18 +18,20 @@ from pydantic.dataclasses import dataclass
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor
 
-from sphericalvision.cameras import CameraRig, read_rig, save_rig
+from sphericalvision.cameras import CameraRig, Trajectory, read_rig, save_rig
 from sphericalvision.cameras.calibration.text_files import load_keys
 from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.cameras.robot_frame import placed, tilt_of
+from sphericalvision.cameras.trajectory import upright_turn
 from sphericalvision.capture import Predictor, align_rig
+from sphericalvision.capture.checks import pose_agreement
 from sphericalvision.capture.estimating import Estimate, estimate_frames, ordered_map
 from sphericalvision.capture.outputs import Outputs
 from sphericalvision.capture.preparation.nearest import checked_min_depth
 from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.capture.result_folder import Settings
 from sphericalvision.capture.sources.frames import Selection, Source
-from sphericalvision.capture.sources.moving import Moving
+from sphericalvision.capture.sources.moving import STILL, Moving
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.io.files import part_of_name
 from sphericalvision.io.images import write_mask
@@ -39,6 +41,7 @@ from sphericalvision.recipes.app.captures import AUTO, PosedCapture, cut_to_visi
 from sphericalvision.recipes.app.checks import flat
 from sphericalvision.recipes.app.cli import choose_device, console, print_config, say
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, OnlyWith, Positive, Share, Text
+from sphericalvision.sphere.intake import as_photographs
 
 if TYPE_CHECKING:
     from sphericalvision.capture.hint_files import HintFiles
@@ -90,6 +93,9 @@ LYING = math.radians(45)
 """Angle between the cameras' mean down and the world's from which on a warning is printed."""
 PLAUSIBLE = (0.005, 5.0)
 """Metres: radii of windows, as of rigs; of others the poses have another unit."""
+INVERTED = 1.05
+"""Ratio of agreements from which on a trajectory seems to be inverted: of a walk straight ahead it is 1.11, of one with
+turns 1.8."""
 FREE = (
     *("frames", "start", "stop", "every", "outputs", "output"),
     *("skip_existing", "on_error", "device"),
@@ -112,6 +118,7 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
     basis = identities(config, source.rig)
     restrict_views(config, calibrated)
     warn_if_lying(config, source.rig)
+    warn_if_inverted(source, config.capture.upwards)
 
     predictor = predictor_for(source.rig, config)
     min_depth = nearest(predictor, source, config, earlier)
@@ -217,6 +224,30 @@ def warn_if_lying(config: PredictConfig, rig: CameraRig) -> None:
         f"Warning: the cameras' mean down is {math.degrees(tilt):.0f}° from the world's down (up={capture.upwards}); "
         f"then panoramas lie on their side, and depth is worse: {remedy}."
     )
+
+
+def warn_if_inverted(source: Source, up: str) -> None:
+    """Print a warning where a few windows' images agree better with the inverse of the poses in the file."""
+    if not isinstance(source, Moving) or up == "camera":
+        return
+    poses = source.poses  # turned already: those in the file are the inverse of the turn times these
+    turn = upright_turn(up, poses.world_from_camera).to(poses.world_from_camera)
+    inverse = Trajectory(poses.names, torch.linalg.inv(poses.world_from_camera) @ turn)
+    agreements = torch.zeros(2)
+    for frame in source.samples():
+        if frame.images is None or frame.rig is None:
+            continue
+        images = as_photographs(frame.images, frame.rig)
+        rigs = [
+            trajectory.rig(source.source.rig, source.windows[frame.name]) for trajectory in (poses, inverse)
+        ]
+        if min(float(rig.radius) for rig in rigs) > STILL:
+            agreements += torch.tensor([pose_agreement(images, rig) for rig in rigs])
+    if agreements[1] > INVERTED * agreements[0]:
+        print(
+            f"Warning: poses: the images agree better ({agreements[1] / agreements[0]:.2f} times) when they are "
+            "inverted: the trajectory seems to hold camera-from-world where world-from-camera is expected; invert it."
+        )
 
 
 def identities(config: PredictConfig, rig: CameraRig) -> dict[str, str | None]:

@@ -19,7 +19,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, Trajectory, read_rig, save_rig
-from sphericalvision.cameras.calibration.text_files import load_keys
 from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.cameras.robot_frame import placed, tilt_of
 from sphericalvision.cameras.trajectory import upright_turn
@@ -35,6 +34,7 @@ from sphericalvision.capture.sources.moving import STILL, Moving
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.io.files import part_of_name
 from sphericalvision.io.images import write_mask
+from sphericalvision.io.yaml_files import read_yaml
 from sphericalvision.models.weights.files import identity_of
 from sphericalvision.models.weights.pretrained import DEFAULT
 from sphericalvision.recipes.app.captures import AUTO, PosedCapture, cut_to_visible, masked_by_itself
@@ -369,7 +369,14 @@ def read_settings(folder: Path) -> dict[str, Any]:
         FileFormatError: the file that has them is damaged.
     """
     path = folder / SETTINGS
-    return dict(load_keys(path, "the settings of a run")) if path.is_file() else {}
+    if not path.is_file():
+        return {}
+    settings = read_yaml(path)
+    if not isinstance(settings, dict):
+        raise FileFormatError(
+            f"{path}: expected the settings of the run that wrote it; choose another output=..., or remove that folder"
+        )
+    return settings
 
 
 def check_settings(settings: Mapping[str, Any], earlier: Mapping[str, Any], folder: Path) -> None:

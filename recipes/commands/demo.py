@@ -14,7 +14,9 @@ from torch.utils.data import DataLoader
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture import Predictor
-from sphericalvision.capture.outputs import Panoramas, Settings, save_frame
+from sphericalvision.capture.outputs import save_frame
+from sphericalvision.capture.panoramas import Panoramas
+from sphericalvision.capture.result_folder import Settings
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import SampleView, ToSphere, collate_samples
 from sphericalvision.io.images import write_image

@@ -25,6 +25,7 @@ from sphericalvision.cameras.trajectory import upright_turn
 from sphericalvision.capture import Predictor, align_rig
 from sphericalvision.capture.checks import pose_agreement
 from sphericalvision.capture.estimating import Estimate, estimate_frames, ordered_map
+from sphericalvision.capture.leveling import leveling_turn
 from sphericalvision.capture.outputs import Outputs
 from sphericalvision.capture.preparation.nearest import checked_min_depth
 from sphericalvision.capture.preparation.preparation import Preparation
@@ -37,7 +38,7 @@ from sphericalvision.io.images import write_mask
 from sphericalvision.io.yaml_files import read_yaml
 from sphericalvision.models.weights.files import identity_of
 from sphericalvision.models.weights.pretrained import DEFAULT
-from sphericalvision.recipes.app.captures import AUTO, PosedCapture, cut_to_visible, masked_by_itself
+from sphericalvision.recipes.app.captures import AUTO, FLOOR, PosedCapture, cut_to_visible, masked_by_itself
 from sphericalvision.recipes.app.checks import flat
 from sphericalvision.recipes.app.cli import choose_device, console, print_config, say
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, OnlyWith, Positive, Share, Text
@@ -129,6 +130,11 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
     settings = {**flat(config), "min_depth": min_depth, BASIS: basis}
     check_settings(settings, earlier, folder)
 
+    if config.capture.up == FLOOR:
+        turn = floor_turn(predictor, source)
+        placement = turn.to(placement) @ placement
+        calibrated.rig = placed(calibrated.rig, turn)
+        predictor = predictor.with_changes(source.rig)
     aligned = aligned_rig(predictor, calibrated, folder, bool(earlier) and config.skip_existing, placement)
     if aligned is not None:
         calibrated.rig = aligned
@@ -150,6 +156,8 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
             (folder / SETTINGS).unlink(missing_ok=True)
     written = [path for path in [folder / ALIGNED] if path.is_file()] + outputs.written
     report(written, outputs)
+    for note in source.notes:
+        print(f"Warning: {note}")
     if errors:
         count = "some" if names is None else f"{len(errors)} of {len(names)}"
         raise FileFormatError(f"{count} frames were left out. The first: {errors[0]}")
@@ -228,7 +236,7 @@ def warn_if_lying(config: PredictConfig, rig: CameraRig) -> None:
 
 def warn_if_inverted(source: Source, up: str) -> None:
     """Print a warning where a few windows' images agree better with the inverse of the poses in the file."""
-    if not isinstance(source, Moving) or up == "camera":
+    if not isinstance(source, Moving) or up not in ("-y", "y", "z"):
         return
     poses = source.poses  # turned already: those in the file are the inverse of the turn times these
     turn = upright_turn(up, poses.world_from_camera).to(poses.world_from_camera)
@@ -273,6 +281,14 @@ def nearest(
         predictor.with_changes(rig).nearest_depth([images]) for images, rig in samples if rig is not None
     ]
     return round(min(depths), 3) if depths else config.min_depth
+
+
+def floor_turn(predictor: Predictor, source: Source) -> Tensor:
+    """``(4, 4)``, which levels a rig by the floor in the depth of a few frames; prints by how much."""
+    depths = (predictor(frame.images) for frame in source.samples() if frame.images is not None)
+    turn, sentence = leveling_turn(depths)
+    say(f"up=floor: {sentence}")
+    return turn
 
 
 def aligned_rig(

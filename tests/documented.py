@@ -137,11 +137,6 @@ def furnish(folder: Path) -> None:
         for frame in (1, 2):
             write_image(capture / f"cam{number}/{frame:05d}.png", torch.rand(3, *SIZE))
         write_mask(capture / f"cam{number}/mask.png", torch.ones(SIZE, dtype=torch.bool))
-    for name in ("rig", "aligned"):  # what docs/adapted_rig.py and sphericalvision-align write
-        save_rig(rig, folder / f"c/{name}.yaml")
-    for name in rig.names:
-        for frame in (0, 1):
-            write_image(folder / f"c/{name}/{frame:05d}.png", torch.rand(3, *SIZE))
     walk = folder / "walk"
     for number in range(5):
         write_image(walk / f"panoramas/{number}.png", torch.rand(3, 24, 48))
@@ -222,8 +217,8 @@ def smaller(recipe: str, words: list[str], cache: Path) -> list[str]:
         return BENCHMARK
     if recipe in ("align", "convert", "calibrate", "export"):
         return []
-    if "preset=benchmark" in words:
-        return [*METHODS, f"benchmark.cache_dir={cache}"]
+    if recipe == "benchmark":
+        return [*METHODS, f"cache_dir={cache}"]
     config = composed(recipe, words)
     if recipe == "inspect":
         return ["level=3"]
@@ -335,14 +330,14 @@ BENCHMARK = [
     "device=cpu",
 ]
 METHODS = [
-    "benchmark.tracks=[room]",
-    "benchmark.frames=1",
-    "benchmark.level=3",
-    "benchmark.panorama_rows=8",
-    "benchmark.image_rows=16",
-    "benchmark.align=false",
-    "benchmark.samples_per_pixel=1",
-    "benchmark.workers=0",
+    "tracks=[room]",
+    "frames=1",
+    "level=3",
+    "panorama_rows=8",
+    "image_rows=16",
+    "align=false",
+    "samples_per_pixel=1",
+    "workers=0",
     "panel_height=40",
 ]
 STUDY = [

@@ -170,10 +170,9 @@ def test_extensions_of_one_file_each_work_from_every_command(folder: Path) -> No
 
     sizes = ("level=3", "panorama_rows=8", "image_rows=24", "frames=1", "workers=0", "cache_dir=null")
     words = (
-        "preset=benchmark",
-        "preparation@benchmark=none",
-        "benchmark.methods=[constant]",
-        "benchmark.tracks=[haze]",
+        "preparation=none",
+        "methods=[constant]",
+        "tracks=[haze]",
     )
-    command(folder, "study", "output=compared", *words, *(f"benchmark.{size}" for size in sizes))
+    command(folder, "benchmark", "output=compared", *words, *sizes)
     assert list((folder / "compared").rglob("haze*"))

@@ -30,7 +30,7 @@ class MultirunTable(Callback):
         if not rows:
             return
         columns = list(dict.fromkeys(key for row in rows for key in row))
-        table = Table("", columns, [[[row.get(column, "") for column in columns] for row in rows]])
+        table = Table("", columns, [[row.get(column, "") for column in columns] for row in rows])
         table.save(folder / "sweep", ".md")
         write_json(folder / "sweep.json", rows)
         print(f"\n{table.markdown()}\nTable of the sweep: {folder / 'sweep.md'}")

@@ -26,7 +26,7 @@ from sphericalvision.recipes.app.cli import build, choose_device, console
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Number, Text
 from sphericalvision.recipes.evaluation.frames import SampleFrames
 from sphericalvision.recipes.evaluation.loop import VertexErrors, evaluate, limit_text, mean_errors_by_method
-from sphericalvision.recipes.evaluation.methods import Method, Scale, constants, sweeps
+from sphericalvision.recipes.evaluation.methods import Method, Scale, baselines
 from sphericalvision.recipes.evaluation.tables import Table, save_errors
 from sphericalvision.scenes import World, WorldSamples
 from sphericalvision.scenes.samples import recorded_sample
@@ -76,12 +76,12 @@ def demo(config: DemoConfig, folder: Path) -> Table:
         _save_comparison(folder, frame, panoramas, net)
     seeds = range(config.train_seed, config.train_seed + config.baseline_scenes)
     depths = WorldSamples(world, SampleView(depth_level=net.level - 2), seeds)
+    scale = Scale(net.num_hypotheses, net.min_depth)
     methods = [
         Method(type(net).__name__, net),
-        *sweeps(net, net.level)[:1],
-        *constants(net, net.level, DataLoader(depths, batch_size=8, collate_fn=collate_samples)),
+        *baselines(scale, net.level, DataLoader(depths, batch_size=8, collate_fn=collate_samples))[:3],
     ]
-    measure = VertexErrors(Scale(net.num_hypotheses, net.min_depth), net.level - 2, net.device)
+    measure = VertexErrors(scale, net.level - 2, net.device)
     records = evaluate(methods, SampleFrames(lambda _: [collate_samples([sample])], 1), measure)
     title = f"errors of this scene, percent of N = {net.num_hypotheses}; AbsRel, d<1.25 {limit_text('auto')}"
     table = save_errors(folder / "metrics", title, mean_errors_by_method(records))

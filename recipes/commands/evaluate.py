@@ -12,6 +12,7 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from pydantic import with_config
+from rich.progress import track
 from torch import Tensor
 from torch.utils.data import Subset
 from typing_extensions import TypedDict
@@ -35,9 +36,10 @@ from sphericalvision.recipes.evaluation.methods import (
     Method,
     Scale,
     baselines,
+    camera_images,
     check_names,
     make_method,
-    photographs_of,
+    training_depths,
 )
 from sphericalvision.recipes.evaluation.strips import StripErrors, table_with_published
 from sphericalvision.recipes.evaluation.tables import Table, save_errors
@@ -141,8 +143,9 @@ def evaluate_checkpoint(config: Annotated[DictConfig, EvaluateKeys], folder: Pat
         ]
     level, scale = config.model.level - 2, Scale(net.num_hypotheses, net.min_depth)
     if config.baselines:
-        methods += baselines(net, config.model.level, data)
-    methods += [_compared_method(word, config.model.level, scale, net) for word in config.methods]
+        depths = training_depths(data, config.model.level)
+        methods += baselines(scale, config.model.level, track(depths, "training depths", total=len(depths)))
+    methods += [_compared_method(word, config.model.level, scale) for word in config.methods]
     check_names(methods)
     if len(methods) > 1 and (evaluation.as_used or config.min_confidence > 0):
         print(
@@ -175,7 +178,7 @@ def evaluate_checkpoint(config: Annotated[DictConfig, EvaluateKeys], folder: Pat
     return table
 
 
-def _compared_method(word: str, level: int, scale: Scale, net: DepthNetwork) -> Method:
+def _compared_method(word: str, level: int, scale: Scale) -> Method:
     """A method that is compared with a network, on the same images on the icosphere.
 
     Raises:
@@ -186,7 +189,7 @@ def _compared_method(word: str, level: int, scale: Scale, net: DepthNetwork) -> 
         raise ArgumentError(
             f"methods: {word} takes no images on the icosphere; evaluate it by itself, with checkpoint={word}"
         )
-    return Method(method.name, method.net.with_changes(level=level).to(net.device))
+    return Method(method.name, method.net.with_changes(level=level))
 
 
 def _masks(batches: Iterable[dict[str, Any]]) -> Mapping[str, Tensor]:
@@ -195,7 +198,7 @@ def _masks(batches: Iterable[dict[str, Any]]) -> Mapping[str, Tensor]:
     Raises:
         ArgumentError: the frames are of several rigs.
     """
-    frames = list(islice((frame for batch in batches for frame in photographs_of(batch)), MOST))
+    frames = list(islice((frame for batch in batches for frame in camera_images(batch)), MOST))
     rig = frames[0][0]
     if any(rig_fingerprint(other) != rig_fingerprint(rig) for other, _ in frames):
         raise ArgumentError(

@@ -77,6 +77,7 @@ def evaluate(
                 record = records[method.name]
                 if not set(names) & set(missing[method.name]):
                     continue
+                method.net.to(measure.directions.device)
                 answer = method(batch)
                 errors = measure.errors(answer, truth)
                 for frame, name in enumerate(names):

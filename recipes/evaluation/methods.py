@@ -3,21 +3,22 @@
 
 from __future__ import annotations
 
+import copy
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import torch
-from rich.progress import track
 from torch import Tensor
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, Subset
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture import Predictor, align_rig
 from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
 from sphericalvision.core import ArgumentError, SphericalVisionError
+from sphericalvision.data import SampleView
 from sphericalvision.kernels import reference_kernels
 from sphericalvision.models import (
     ConstantDepth,
@@ -50,11 +51,10 @@ __all__ = [
     "Method",
     "Scale",
     "baselines",
+    "camera_images",
     "check_names",
-    "constants",
     "make_method",
-    "photographs_of",
-    "sweeps",
+    "training_depths",
 ]
 
 
@@ -193,7 +193,7 @@ class AsUsed(Method):
     @torch.no_grad()
     def __call__(self, batch: Batch) -> Answer:
         """Estimate each frame of samples with the entry "fisheye"."""
-        frames = [self._estimate(*frame) for frame in photographs_of(batch)]
+        frames = [self._estimate(*frame) for frame in camera_images(batch)]
         estimate = DepthEstimate(*(torch.stack(values) for values in zip(*frames, strict=True)))
         return Answer(self.net, estimate, self.min_confidence)
 
@@ -250,47 +250,46 @@ class Answer:
         return self.net.index_at(values.float(), directions)
 
 
-def photographs_of(batch: dict[str, Any]) -> list[tuple[CameraRig, dict[str, Tensor]]]:
+def camera_images(batch: dict[str, Any]) -> list[tuple[CameraRig, dict[str, Tensor]]]:
     """The rig and the images by camera of each frame of a batch, in [0, 1], black where lenses show nothing."""
     light = unsigned(batch["fisheye"]).clamp(0, 1) * batch["fisheye_seen"].unsqueeze(2)
     rigs = [batch["rig"].select(frame) for frame in range(len(light))]
     return [(rig, dict(zip(rig.names, images, strict=True))) for rig, images in zip(rigs, light, strict=True)]
 
 
-def baselines(net: DepthNetwork, level: int, data: SampleDataModule) -> list[Method]:
-    """The methods that a network is compared with, on images of a level; constants are those of the training set."""
-    data.render("train")
-    return [
-        *constants(net, level, data.loader(data.plain_train_dataset())),
-        *sweeps(net, level),
-    ]
+def baselines(scale: Scale, level: int, depths: Iterable[Mapping[str, Tensor]]) -> list[Method]:
+    """The methods that need no images, and the sweeps, for images of a level: what every network is compared with.
 
-
-def sweeps(net: DepthNetwork, level: int) -> list[Method]:
-    """Photo-consistency and semi-global sweep with the hypotheses of a network, on images of a level."""
-    kinds = {"photo-consistency sweep": WinnerTakesAll, "semi-global sweep": SemiGlobalSweep}
-    options = level, net.num_hypotheses, net.min_depth
-    return [Method(name, kind(*options).to(net.device)) for name, kind in kinds.items()]
-
-
-def constants(net: DepthNetwork, level: int, loader: DataLoader[dict[str, Any]]) -> list[Method]:
-    """The best depth map and the best single depth of frames for the mean absolute error, with a network's hypotheses.
+    Args:
+        scale: their hypotheses.
+        level: of the images.
+        depths: batches with ``inverse_depth`` and ``valid`` of frames of which the best depth map and the best single
+            depth, by the mean absolute error, are the medians.
 
     Raises:
-        ArgumentError: no frame has a valid depth.
+        ArgumentError: no depth is valid.
     """
-    batches = [(b["inverse_depth"], b["valid"]) for b in track(loader, "training depths", total=len(loader))]
-    if not any(valid.any() for _, valid in batches):
-        raise ArgumentError(
-            "baselines: the training set has no valid depth to take the median of; check data.*"
-        )
-    inverse_depth, valid = map(torch.cat, zip(*batches, strict=True))
+    pairs = [(batch["inverse_depth"], batch["valid"]) for batch in depths]
+    inverse_depth, valid = map(torch.cat, zip(*pairs, strict=True))
+    if not valid.any():
+        raise ArgumentError("data: no training sample has a valid depth to take the median of; check data.*")
     shapes = {"constant depth map": inverse_depth.shape, "constant depth": (-1, 1)}
-    fresh = {name: ConstantDepth(level, net.num_hypotheses, net.min_depth) for name in shapes}
-    return [
-        Method(name, fresh[name].fit(inverse_depth.reshape(shape), valid.reshape(shape)).to(net.device))
+    medians = {
+        name: ConstantDepth(level, *scale).fit(inverse_depth.reshape(shape), valid.reshape(shape))
         for name, shape in shapes.items()
-    ]
+    }
+    sweeps = {word: UNTRAINED[word](level, *scale) for word in ("winner-takes-all", "semi-global-sweep")}
+    return [Method(name, net) for name, net in (medians | sweeps).items()]
+
+
+def training_depths(data: SampleDataModule, level: int, max_frames: int | None = None) -> DataLoader[Any]:
+    """Batches with the depth of training frames, two levels below ``level``; at most some frames, evenly chosen."""
+    if hasattr(data, "view"):  # without images nothing is rendered
+        data = copy.copy(data)
+        data.view = SampleView(depth_level=level - 2)
+    frames = data.plain_train_dataset()
+    count = len(frames)  # type: ignore[arg-type]
+    return data.loader(Subset(frames, range(0, count, -(-count // max_frames) if max_frames else 1)))
 
 
 def check_names(methods: Sequence[Method]) -> None:
@@ -309,14 +308,14 @@ def make_method(word: str, level: int = 6, scale: Scale = SCALE, folder: Path | 
             file of weights.
         level: of the images, for methods without training.
         scale: their hypotheses; a network has its own number of them from the same nearest depth.
-        folder: in which the constant map is kept.
+        folder: where the constant map is stored.
 
     Raises:
         MissingFileError: neither a name nor a file.
     """
     net: DepthNetwork
     if word == "constant":
-        net = _constant(level, scale, folder)
+        net = _scene_median(level, scale, folder)
     elif word in UNTRAINED:
         net = UNTRAINED[word](level, *scale)
     else:
@@ -324,19 +323,20 @@ def make_method(word: str, level: int = 6, scale: Scale = SCALE, folder: Path | 
     return Method(Path(word).stem if Path(word).suffix else word, net)
 
 
-def _constant(level: int, scale: Scale, folder: Path | None) -> DepthNetwork:
-    """The median of the training scenes, which is kept: it takes a quarter of a minute."""
+def _scene_median(level: int, scale: Scale, folder: Path | None) -> DepthNetwork:
+    """The median of the training scenes, stored in ``folder``: it takes a quarter of a minute."""
     path = None if folder is None else folder / f"constant-{level}-{TRAINING_SCENES}.safetensors"
     if path is not None and path.is_file():
         try:
             return load_weights(path)
         except SphericalVisionError:
-            pass  # damaged, so it is made anew
+            pass  # damaged, so it is computed again
     assert TRAINING_SCENES < HELD_OUT_SEED
-    net = ConstantDepth(level, *scale)
+    directions = ConstantDepth(level, *scale).grid.directions
     scenes = [make_scene(kind_of(TURNS, seed), seed) for seed in range(TRAINING_SCENES)]
-    directions = net.grid.directions
-    net.fit(torch.stack([ray_depth(scene, torch.zeros(3), directions).reciprocal() for scene in scenes]))
+    inverse = torch.stack([ray_depth(scene, torch.zeros(3), directions).reciprocal() for scene in scenes])
+    everywhere = torch.ones_like(inverse, dtype=torch.bool)
+    net = baselines(scale, level, [{"inverse_depth": inverse, "valid": everywhere}])[0].net
     if path is not None:
         save_weights(net, path)
     return net

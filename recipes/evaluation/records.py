@@ -17,7 +17,7 @@ from torch import Tensor
 from sphericalvision.core import FileFormatError
 from sphericalvision.io.files import atomic_write, write_bytes
 
-__all__ = ["Errors", "Record", "mean_errors", "read_json", "values_of", "write_json"]
+__all__ = ["Errors", "Record", "mean_errors", "read_json", "write_json"]
 
 Errors = dict[str, Any]
 """Nested dictionaries of numbers by protocol and name; None where nothing counts."""
@@ -96,33 +96,21 @@ class Record:
 
 
 def mean_errors(frames: Iterable[Errors]) -> Errors:
-    """Means of nested dictionaries of numbers; None counts nowhere, and stays where there is nothing else.
+    """Means of nested dictionaries of numbers; None does not count, and stays where no frame has a number.
 
     Examples:
         >>> mean_errors([{"all": {"MAE": 1.0}}, {"all": {"MAE": 3.0}}, {"all": {"MAE": None}}])
         {'all': {'MAE': 2.0}}
     """
-    return _mean(list(frames))  # type: ignore[no-any-return]
-
-
-def _mean(items: list[Any]) -> Any:
-    nested = [item for item in items if isinstance(item, Mapping)]
-    if nested:
-        keys = dict.fromkeys(key for item in nested for key in item)
-        return {key: _mean([item.get(key) for item in nested]) for key in keys}
-    numbers = [item for item in items if item is not None]
-    return math.fsum(numbers) / len(numbers) if numbers else None
-
-
-def values_of(frames: Mapping[str, Errors], *path: str) -> list[float]:
-    """One number of each frame, NaN where there is none."""
-    values = []
-    for errors in frames.values():
-        value: Any = errors
-        for key in path:
-            value = value.get(key) if isinstance(value, Mapping) else None
-        values.append(math.nan if value is None else float(value))
-    return values
+    items = list(frames)
+    means: Errors = {}
+    for key in dict.fromkeys(key for item in items for key in item):
+        values = [item[key] for item in items if item.get(key) is not None]
+        if values and isinstance(values[0], Mapping):
+            means[key] = mean_errors(values)
+        else:
+            means[key] = math.fsum(values) / len(values) if values else None
+    return means
 
 
 def read_json(path: Path) -> dict[str, Any]:

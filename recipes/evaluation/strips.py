@@ -91,11 +91,11 @@ def table_with_published(records: Mapping[str, Record], published: Mapping[str, 
         return None if value is None else Cell(value, digits=3)
 
     means = {name: record.means for name, record in records.items()}
-    ours = [
+    measured = [
         [name, *(cell(mean[what][error]) for what, error, _ in (*COLUMNS, *MORE))]
         for name, mean in means.items()
     ]
-    theirs = [[f"{name} *", *map(cell, row), *[None] * len(MORE)] for name, row in published.items()]
+    others = [[f"{name} *", *map(cell, row), *[None] * len(MORE)] for name, row in published.items()]
     columns = ("", *(f"{error} ({unit})" for _, error, unit in (*COLUMNS, *MORE)))
     title = "of depth, and of disparity (°); * published, of the whole test set and older maps of depth"
-    return Table(title, columns, [ours, theirs])
+    return Table(title, columns, [*measured, *others])

@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables: the same cells as Markdown, CSV, HTML, and on the console."""
+"""Tables: the same cells as Markdown, CSV, LaTeX, HTML and JSON, and on the console."""
 
 from __future__ import annotations
 
 import csv
 import html
 import io
+import json
 import math
 import re
 import statistics
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
@@ -22,14 +23,14 @@ __all__ = ["Cell", "Content", "Row", "Table", "error_table", "save_errors", "sav
 
 
 class Cell(NamedTuple):
-    """A mean, and how sure it is.
+    """A mean and its uncertainty.
 
     Attributes:
         mean: the number.
         spread: standard deviation, where there are several values.
         digits: to print.
         interval: in which the mean lies.
-        best: of its row, to be printed in bold.
+        best: whether it is the best of its row, to be printed in bold.
     """
 
     mean: float
@@ -39,7 +40,7 @@ class Cell(NamedTuple):
     best: bool = False
 
     def text(self) -> str:
-        """For reading.
+        """Format for reading.
 
         Examples:
             >>> Cell(28.688, 0.312).text(), Cell(0.5, digits=1).text()
@@ -56,7 +57,7 @@ class Cell(NamedTuple):
 
 
 Content = str | float | Cell | None
-"""What a cell holds: a text, a number (printed with two digits), a mean, or None for what is not measured."""
+"""Content of a cell: a text, a number (printed with two digits), a mean, or None for what is not measured."""
 
 Row = Sequence[Content]
 
@@ -64,24 +65,19 @@ STYLE = "body{font:14px sans-serif} td,th{padding:2px 8px;text-align:right} td:f
 
 
 class Table(NamedTuple):
-    """Rows in groups, such as one of each angle.
+    """Rows of cells below headings.
 
     Attributes:
         title: what the numbers are.
         columns: headings.
-        groups: of rows.
-        labels: number of columns that name what a row is, to the left; numbers are to the right.
+        rows: of cells.
+        labels: number of columns that name a row, aligned left; numbers are aligned right.
     """
 
     title: str
     columns: Sequence[str]
-    groups: Sequence[Sequence[Row]]
+    rows: Sequence[Row]
     labels: int = 1
-
-    @property
-    def rows(self) -> list[Row]:
-        """The rows of all groups."""
-        return [row for group in self.groups for row in group]
 
     def texts(self) -> list[list[str]]:
         """All cells for reading."""
@@ -89,28 +85,24 @@ class Table(NamedTuple):
 
     def markdown(self) -> str:
         """The rows, and the title below."""
-        lines = [f"| {' | '.join(self.columns)} |".replace("|  |", "| |")]
-        lines.append("|" + "---|" * self.labels + "---:|" * (len(self.columns) - self.labels))
-        lines += [f"| {' | '.join(row)} |" for row in self.texts()]
+        lines = [f"| {' | '.join(row)} |" for row in ([*self.columns], *self.texts())]
+        lines[0] = lines[0].replace("|  |", "| |")
+        lines.insert(1, "|" + "---|" * self.labels + "---:|" * (len(self.columns) - self.labels))
         return "\n".join([*lines, *(["", self.title] if self.title else []), ""])
 
     def csv(self) -> str:
         """Numbers with six digits; standard deviations have a column next to that of their means."""
-        spread = [
-            any(isinstance(row[k], Cell) and row[k].spread is not None for row in self.rows)  # type: ignore[union-attr]
-            for k in range(len(self.columns))
-        ]
+        means = [[cell.mean if isinstance(cell, Cell) else cell for cell in row] for row in self.rows]
+        spreads = [[cell.spread if isinstance(cell, Cell) else None for cell in row] for row in self.rows]
         file = io.StringIO()
         writer = csv.writer(file, lineterminator="\n")
-        names = zip([self.columns[0] or "name", *self.columns[1:]], spread, strict=True)
-        writer.writerow([h for name, more in names for h in ([name, f"{name} sd"] if more else [name])])
-        for row in self.rows:
-            values: list[Any] = []
-            for cell, more in zip(row, spread, strict=True):
-                mean, deviation = cell[:2] if isinstance(cell, Cell) else (cell, None)
-                values.append(_exact(mean) if isinstance(mean, float) else mean)
-                values += [_exact(deviation)] if more else []
-            writer.writerow(values)
+        columns: list[list[Any]] = []
+        for k, name in enumerate([self.columns[0] or "name", *self.columns[1:]]):
+            columns.append([name, *(row[k] for row in means)])
+            if any(row[k] is not None for row in spreads):
+                columns.append([f"{name} sd", *(row[k] for row in spreads)])
+        for row in zip(*columns, strict=True):
+            writer.writerow([f"{cell:.6g}" if isinstance(cell, float) else cell for cell in row])
         return file.getvalue()
 
     def latex(self) -> str:
@@ -129,7 +121,9 @@ class Table(NamedTuple):
             <BLANKLINE>
         """
         columns = "l" * self.labels + "r" * (len(self.columns) - self.labels)
-        header, *rows = (" & ".join(map(_escaped, row)) + r" \\" for row in ([*self.columns], *self.texts()))
+        header, *rows = (
+            " & ".join(map(_escape_latex, row)) + r" \\" for row in ([*self.columns], *self.texts())
+        )
         title = [f"% {self.title}"] if self.title else []
         lines = [*title, rf"\begin{{tabular}}{{{columns}}}", r"\toprule", header, r"\midrule", *rows]
         return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
@@ -137,9 +131,22 @@ class Table(NamedTuple):
     def html(self) -> str:
         """A paragraph with the title, and the table."""
         lines = [f"<th>{'</th><th>'.join(map(html.escape, self.columns))}</th>"]
-        lines += [f"<td>{'</td><td>'.join(map(html.escape, row))}</td>" for row in self.texts()]
+        lines += [f"<td>{'</td><td>'.join(map(_escape_html, row))}</td>" for row in self.texts()]
         body = "\n".join(f"<tr>{line}</tr>" for line in lines)
         return f"<p>{html.escape(self.title)}</p>\n<table>{body}</table>"
+
+    @classmethod
+    def of(cls, content: Mapping[str, Any]) -> Table:
+        """The table whose ``_asdict()`` was written as JSON.
+
+        Examples:
+            >>> Table.of({"title": "m", "columns": ["", "MAE"], "rows": [["net", [1.5, None, 1]]], "labels": 1}).texts()
+            [['net', '1.5']]
+        """
+        rows: list[Row] = [
+            [Cell(*cell) if isinstance(cell, list) else cell for cell in row] for row in content["rows"]
+        ]
+        return cls(**{**content, "rows": rows})
 
     def print(self) -> None:
         """On the console."""
@@ -147,7 +154,7 @@ class Table(NamedTuple):
 
     def save(self, stem: Path, *suffixes: str) -> None:
         """Write ``.md``, ``.csv`` or ``.tex``."""
-        writers: dict[str, Callable[[], str]] = {".md": self.markdown, ".csv": self.csv, ".tex": self.latex}
+        writers = {".md": self.markdown, ".csv": self.csv, ".tex": self.latex}
         for suffix in suffixes:
             write_bytes(stem.with_name(stem.name + suffix), writers[suffix]().encode())
 
@@ -165,11 +172,12 @@ def error_table(title: str, errors: Mapping[str, Mapping[str, float]]) -> Table:
         <BLANKLINE>
     """
     columns = list(next(iter(errors.values())))
-    rows = [
-        [name, *(Cell(row[key], digits=3) if key in ("AbsRel", "d<1.25") else row[key] for key in columns)]
+    digits = {"AbsRel": 3, "d<1.25": 3}
+    rows: list[Row] = [
+        [name, *(Cell(row[key], digits=digits.get(key, 2)) for key in columns)]
         for name, row in errors.items()
     ]
-    return Table(title, ("", *columns), [rows])
+    return Table(title, ("", *columns), rows)
 
 
 def save_errors(stem: Path, title: str, errors: Mapping[str, Mapping[str, float]]) -> Table:
@@ -192,36 +200,34 @@ def save_report(
     """Write tables and pictures below their headings, ``<name>.md`` and ``index.html``; print the first table.
 
     Args:
-        folder: of both, of each table as ``.md`` and ``.csv``, and of ``<name>.json``.
+        folder: of both, of each table as ``.md`` and ``.csv``, of all as ``tables.json``, and of ``<name>.json``.
         name: of the Markdown.
         title: of the page.
         tables: heading -> table.
         pictures: heading -> file in the folder.
         content: of the JSON.
     """
+    text = [f"# {title}"]
+    page = [f"<!doctype html><meta charset=utf-8><title>{html.escape(title)}</title>\n<style>{STYLE}</style>"]
     for heading, table in tables.items():
         table.save(folder / heading.replace(" ", "_"), ".md", ".csv")
-    write_json(folder / f"{name}.json", content)
-    parts = [
-        f"# {title}",
-        *(f"## {heading}\n\n{table.markdown().rstrip()}" for heading, table in tables.items()),
-    ]
-    parts += [f"## {heading}\n\n![{heading}](<{file}>)" for heading, file in pictures.items()]
-    write_bytes(folder / f"{name}.md", ("\n\n".join(parts) + "\n").encode())
-    lines = [
-        f"<!doctype html><meta charset=utf-8><title>{html.escape(title)}</title>\n<style>{STYLE}</style>"
-    ]
-    lines += [f"<h2>{html.escape(heading)}</h2>\n{table.html()}" for heading, table in tables.items()]
+        text.append(f"## {heading}\n\n{table.markdown().rstrip()}")
+        page.append(f"<h2>{html.escape(heading)}</h2>\n{table.html()}")
     for heading, file in pictures.items():
+        text.append(f"## {heading}\n\n![{heading}](<{file}>)")
         image = f'<img src="{html.escape(quote(file))}" loading="lazy" style="max-width:100%">'
-        lines.append(f"<h2>{html.escape(heading)}</h2>\n{image}")
-    write_bytes(folder / "index.html", ("\n".join(lines) + "\n").encode())
+        page.append(f"<h2>{html.escape(heading)}</h2>\n{image}")
+    lines = [f"{json.dumps(heading)}: {json.dumps(table._asdict())}" for heading, table in tables.items()]
+    write_bytes(folder / "tables.json", ("{\n" + ",\n".join(lines) + "\n}\n").encode())
+    write_json(folder / f"{name}.json", content)
+    write_bytes(folder / f"{name}.md", ("\n\n".join(text) + "\n").encode())
+    write_bytes(folder / "index.html", ("\n".join(page) + "\n").encode())
     next(iter(tables.values())).print()
     print(f"Results are in {folder}: {name}.md, {name}.json, index.html")
 
 
 def summarize(values: Iterable[float | None], digits: int = 2) -> Cell | None:
-    """Mean and sample standard deviation of what is known; None if nothing is, and no spread if all are the same.
+    """Mean and sample standard deviation of the numbers; None without any, and no spread if all are the same.
 
     Examples:
         >>> summarize([1.0, 3.0, None])
@@ -235,12 +241,12 @@ def summarize(values: Iterable[float | None], digits: int = 2) -> Cell | None:
     )
 
 
-def _exact(value: float | None) -> str | None:
-    return None if value is None else f"{value:.6g}"
+def _escape_html(text: str) -> str:
+    return re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", html.escape(text))
 
 
-def _escaped(text: str) -> str:
-    """Text for LaTeX: special characters as it writes them, bold and the signs of cells as commands."""
+def _escape_latex(text: str) -> str:
+    """Escape special characters; bold and the signs of cells become commands."""
     signs = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
     signs |= {"±": r"$\pm$", "–": "--", ">": r"$>$", "<": r"$<$", "°": r"$^\circ$"}
     signs |= {sign: "\\" + sign for sign in "&%$#_{}"}

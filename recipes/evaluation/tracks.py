@@ -145,7 +145,7 @@ def chosen_tracks(words: Sequence[str], meshes: Sequence[str] = ()) -> list[Trac
     if meshes:
         tracks["meshes"] = Track("meshes", "meshes", "mesh", meshes=tuple(meshes))
     for word in words:
-        check_choice("benchmark.tracks", word, ("all", *GROUPS, *tracks, *DISTURBANCES.names()))
+        check_choice("tracks", word, ("all", *GROUPS, *tracks, *DISTURBANCES.names()))
         if word not in ("all", *GROUPS, *tracks):
             tracks[word] = Track(word, "disturbances", disturbance=CameraDisturbance(others={word: 1.0}))
     selected = set(words)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's study: models, tilted rigs, tables and pictures; and the benchmark of depth methods."""
+"""The paper's study: models, tilted rigs, tables and pictures."""
 
 from sphericalvision.recipes.app.command import Command
 
 __all__ = ["main"]
 
-main = Command("study", "study.command:run")
+main = Command("study", "study.command:study")

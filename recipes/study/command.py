@@ -2,7 +2,7 @@
 """The paper's study, from training to tables and pictures: ``sphericalvision-study``.
 
 Trains or loads every model, evaluates each at every angle of the cameras, and writes the paper's table. Everything
-goes to one folder, and what is there already is not done again: the same command goes on after an interruption.
+goes to one folder, and finished work is not repeated: the same command resumes after an interruption.
 """
 
 from __future__ import annotations
@@ -20,40 +20,19 @@ from typing_extensions import TypedDict
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.images import write_image
 from sphericalvision.recipes.app.cli import choose_device, print_config, say
-from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Number, OnlyWith, Positive, Size, Text
+from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Number, OnlyWith, Size, Text
 from sphericalvision.recipes.evaluation.loop import evaluate
 from sphericalvision.recipes.evaluation.pictures import DrawnFrame, frames_sheet
 from sphericalvision.recipes.evaluation.protocols import Protocols
 from sphericalvision.recipes.evaluation.records import Record
 from sphericalvision.recipes.evaluation.results import Results
 from sphericalvision.recipes.evaluation.tables import save_report
-from sphericalvision.recipes.study.benchmark import compare
-from sphericalvision.recipes.study.models import methods_of, scale_of, study_models
+from sphericalvision.recipes.study.models import scale_of, study_models
 from sphericalvision.recipes.study.report import angle_plot, drawn_frame, study_tables
 from sphericalvision.recipes.study.tilted_views import view_frames, views
-from sphericalvision.recipes.study.training import Training, check_alike, train_all
+from sphericalvision.recipes.study.training import differences, train_all
 
-__all__ = ["StudyKeys", "run", "study"]
-
-
-@with_config(STRICT)
-class BenchmarkKeys(TypedDict, total=False):
-    """Keys of the group ``benchmark``."""
-
-    photometric: bool
-    align: bool
-    methods: Annotated[list[str], MinLen(1)]
-    tracks: list[str]
-    frames: Count
-    first_frame: Number
-    meshes: list[str]
-    level: Annotated[int, Ge(3)]
-    panorama_rows: Annotated[int, Ge(2)]
-    image_rows: Annotated[int, Ge(8)]
-    samples_per_pixel: Count
-    max_depth_m: Positive | Literal["auto"]
-    cache_dir: Text | None
-    workers: Number
+__all__ = ["StudyKeys", "study"]
 
 
 @with_config(STRICT)
@@ -84,33 +63,22 @@ class StudyKeys(TypedDict, total=False):
     on_change: Literal["refuse", "redo"]
     device: Device
     seed: Number
-    benchmark: BenchmarkKeys
 
 
-def run(config: Annotated[DictConfig, StudyKeys], folder: Path) -> Results:
-    """The study, or with ``preset=benchmark`` the benchmark of methods."""
-    return compare(config, folder) if "benchmark" in config else study(config, folder)
-
-
-def study(config: DictConfig, folder: Path) -> Results:
+def study(config: Annotated[DictConfig, StudyKeys], folder: Path) -> Results:
     """Train, evaluate and report as ``config`` says; returns the results of all models, seeds and views.
 
     Raises:
         ArgumentError: nothing is trained, and nothing is to be.
     """
     models, all_views = study_models(config), views(config)
-    trainings = [
-        Training.of(model.name, model.train, seed, config, folder)
-        for model in models
-        if model.is_trained
-        for seed in config.seeds
-    ]
+    trainings = [training for model in models for training in model.trainings(config, folder)]
     print_config(config, folder)
-    notes = check_alike(trainings)
+    notes = differences(trainings)
     for note in notes:
-        say(f"not the same for all: {note}", style="yellow")
-    train_all(config, trainings)
-    methods = [method for model in models for method in methods_of(model, config, trainings)]
+        say(f"Warning: {note}", style="yellow")
+    train_all(trainings, config.train, config.on_change)
+    methods = [method for model in models for method in model.methods(config, trainings)]
     if not methods:
         raise ArgumentError(
             "models: nothing is trained yet, so there is nothing to report; leave out train=false"
@@ -134,7 +102,9 @@ def study(config: DictConfig, folder: Path) -> Results:
     content = {
         "config": OmegaConf.to_container(config, resolve=True, throw_on_missing=False),
         "notes": notes,
-        "trainings": [{"name": t.name, "words": t.words, "config": t.config} for t in trainings if t.is_done],
+        "trainings": [
+            {"name": t.name, "words": t.words, "config": t.settings} for t in trainings if t.is_done
+        ],
         "results": results.plain(),
     }
     save_report(folder, "study", "Study", tables, pictures, content)

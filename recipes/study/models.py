@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The models of a study: what the configuration says of them, and the network that each is."""
+"""The models of a study: entries of its configuration, and the network of each."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ from typing import Any, NamedTuple
 from omegaconf import DictConfig, OmegaConf
 
 from sphericalvision.core import ArgumentError, check_choice
-from sphericalvision.models import ConstantDepth, DepthNetwork
-from sphericalvision.recipes.app.cli import choose_device
-from sphericalvision.recipes.evaluation.methods import Method, Scale, make_method
-from sphericalvision.recipes.study.tilted_views import training_depths
-from sphericalvision.recipes.study.training import CHANGES_NOTHING, Training, training_config, training_words
+from sphericalvision.models import DepthNetwork
+from sphericalvision.recipes.app.cli import build
+from sphericalvision.recipes.evaluation.methods import Method, Scale, baselines, make_method, training_depths
+from sphericalvision.recipes.study.training import Training, training_config
 from sphericalvision.recipes.training.run_folder import flat_settings
 
-__all__ = ["KINDS", "StudyModel", "methods_of", "scale_of", "study_models"]
+__all__ = ["StudyModel", "scale_of", "study_models"]
 
 DEFAULT = "refinedsweepnet"
 """The network that ships."""
@@ -33,9 +32,9 @@ class StudyModel(NamedTuple):
         name: of its folders and in JSON.
         label: in tables and pictures.
         kind: "depth_network", or "constant" (a depth map for all frames).
-        train: words of sphericalvision-train; for "constant" they say whose median it is.
-        checkpoint: weights that are there already, or a sweep that needs no training, as ``make_method`` names them;
-            ``{seed}`` stands for each seed. With neither, a network is the one that ships.
+        train: words of sphericalvision-train; for "constant" they choose the training set of the median.
+        checkpoint: existing weights, or a sweep that needs no training, as ``make_method`` names them; ``{seed}``
+            stands for each seed. With neither, a network is the one that ships.
     """
 
     name: str
@@ -44,49 +43,56 @@ class StudyModel(NamedTuple):
     train: tuple[str, ...] | None
     checkpoint: str | None
 
-    @property
-    def is_trained(self) -> bool:
-        """Whether the study trains it, once a seed."""
-        return self.kind == "depth_network" and self.train is not None and self.checkpoint is None
+    def words(self, config: DictConfig) -> tuple[str, ...]:
+        """Words of ``training``, its own, and of ``extra_training``; later ones win."""
+        return (*map(str, config.training), *(self.train or ()), *map(str, config.extra_training))
+
+    def trainings(self, config: DictConfig, folder: Path) -> list[Training]:
+        """Its trainings, one for each seed; none where it is not trained."""
+        if self.kind != "depth_network" or self.train is None or self.checkpoint is not None:
+            return []
+        home = folder / "models" / self.name
+        words = [(*self.words(config), f"seed={seed}") for seed in config.seeds]
+        return [
+            Training(self.name, seed, home / f"seed{seed}", own, training_config(own))
+            for seed, own in zip(config.seeds, words, strict=True)
+        ]
+
+    def methods(self, config: DictConfig, trainings: Sequence[Training]) -> list[Method]:
+        """The method of each trained seed, or the only one of a model without seeds."""
+        if self.kind == "constant":
+            training = training_config(self.words(config))
+            data = {key: value for key, value in flat_settings(training).items() if key.startswith("data.")}
+            identity = [data, training.model.min_depth, config.baseline_frames]
+            return [Method(self.name, partial(median, config, training), 0.0, identity, self.label)]
+        weights: dict[int | None, str] = {None: self.checkpoint or DEFAULT}
+        if any(training.model == self.name for training in trainings):
+            weights = {t.seed: str(t.weights) for t in trainings if t.model == self.name and t.is_done}
+        elif self.checkpoint is not None and "{seed}" in self.checkpoint:
+            weights = {seed: self.checkpoint.replace("{seed}", str(seed)) for seed in config.seeds}
+        return [
+            Method(
+                self.name if seed is None else f"{self.name}/seed{seed}",
+                partial(network, word, config),
+                label=self.label,
+                seed=seed,
+            )
+            for seed, word in weights.items()
+        ]
 
 
-def methods_of(model: StudyModel, config: DictConfig, trainings: Sequence[Training]) -> list[Method]:
-    """The method of each seed of a model, but for seeds that are not trained; of a model without seeds the one."""
-    weights: dict[int | None, str] = {None: DEFAULT}
-    if model.is_trained:
-        weights = {t.seed: str(t.weights) for t in trainings if t.model == model.name and t.is_done}
-    elif model.checkpoint is not None:
-        seeds = [*config.seeds] if "{seed}" in model.checkpoint else [None]
-        weights = {seed: model.checkpoint.replace("{seed}", str(seed)) for seed in seeds}
-    training = training_config(training_words(model.train, config)) if model.kind == "constant" else None
-    return [
-        Method(
-            model.name if seed is None else f"{model.name}/seed{seed}",
-            partial(make_net, word, config, training),
-            identity=training and [flat_settings(training.data, CHANGES_NOTHING), config.baseline_frames],
-            label=model.label,
-            seed=seed,
-        )
-        for seed, word in weights.items()
-    ]
+def median(config: DictConfig, training: DictConfig) -> DepthNetwork:
+    """The constant map of a training, at most of ``config.baseline_frames`` frames."""
+    data = build(training.data, "data")
+    data.min_depth = training.model.min_depth
+    depths = training_depths(data, config.model.level, config.baseline_frames)
+    return baselines(scale_of(config), config.model.level, depths)[0].net
 
 
-def make_net(word: str, config: DictConfig, training: DictConfig | None) -> DepthNetwork:
-    """The network that a word stands for, or a map of constants, for the study's level and nearest depth.
-
-    Args:
-        word: as of ``make_method``.
-        config: of the study.
-        training: whose median a map of constants is.
-    """
-    level, scale = config.model.level, scale_of(config)
-    if training is not None:
-        depths = training_depths(training, level, config.baseline_frames)
-        net: DepthNetwork = ConstantDepth(level, *scale).fit(*depths)
-    else:
-        net = make_method(word, level, scale).net
-        net = net.with_changes(level=level if net.images == "sphere" else None)
-    return net.to(choose_device(config.device))
+def network(word: str, config: DictConfig) -> DepthNetwork:
+    """The network that a word of ``make_method`` stands for, at the study's level and nearest depth."""
+    net = make_method(word, config.model.level, scale_of(config)).net
+    return net.with_changes(level=config.model.level if net.images == "sphere" else None)
 
 
 def scale_of(config: DictConfig) -> Scale:
@@ -109,7 +115,7 @@ def study_models(config: DictConfig) -> list[StudyModel]:
         label = Path(config.checkpoint).stem
         models.append(StudyModel("own", label, "depth_network", None, config.checkpoint))
     if not models:
-        raise ArgumentError("models: expected at least one model, got none; see preset=small for examples")
+        raise ArgumentError("models: expected at least one model, got none; see study=small for examples")
     return models
 
 

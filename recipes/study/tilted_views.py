@@ -1,17 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a study evaluates on: the same frames through cameras tilted by each angle, or through 360° cameras."""
+"""The frames of a study: the same scenes through cameras tilted by each angle, or through 360° cameras."""
 
 from __future__ import annotations
 
 import math
 from typing import Any, NamedTuple
 
-import torch
 from omegaconf import DictConfig, OmegaConf
-from torch import Tensor
 from torch.utils.data import Dataset, Subset
 
 from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import RotateFisheye, SampleView
 from sphericalvision.data.sample_view import ToView
@@ -20,14 +19,12 @@ from sphericalvision.recipes.datamodules.data_module import Sample, SampleDataMo
 from sphericalvision.recipes.datamodules.depth_data_module import DepthDataModule
 from sphericalvision.recipes.datamodules.omnistereo import OmniStereoDataModule
 from sphericalvision.recipes.evaluation.frames import SampleFrames
-from sphericalvision.recipes.study.training import CHANGES_NOTHING
-from sphericalvision.recipes.training.run_folder import flat_settings
 
-__all__ = ["View", "training_depths", "view_frames", "views"]
+__all__ = ["View", "view_frames", "views"]
 
 
 class View(NamedTuple):
-    """How the frames are seen: through which rig, and tilted down by how many degrees."""
+    """The cameras that see the frames, and by how many degrees they are tilted down."""
 
     inputs: str
     angle_deg: float
@@ -59,47 +56,36 @@ def views(config: DictConfig) -> list[View]:
     return [*level, *fisheye, View("equirect", 0.0)]
 
 
+class Samples(NamedTuple):
+    """Samples of a view, the module that loads them, and their identity: whatever they depend on."""
+
+    data: SampleDataModule
+    samples: Dataset[Sample]
+    identity: list[str]
+
+
 def view_frames(config: DictConfig, view: View) -> SampleFrames:
     """The frames of a view, with ``images`` on the icosphere, ``fisheye`` images and ground truth.
 
     Raises:
         ArgumentError: ``panel_frame`` is none of them.
     """
-    data, frames = _rendered(config, view) if "rig" in config.data else _on_disk(config, view)
-    number = len(frames) if config.frames is None else min(config.frames, len(frames))  # type: ignore[arg-type]
-    if not 0 <= config.panel_frame < number:
-        raise ArgumentError(f"panel_frame: expected 0 to {number - 1}, got {config.panel_frame}")
+    data, samples, identity = (_rendered if "rig" in config.data else _on_disk)(config, view)
+    count = len(samples)  # type: ignore[arg-type]
+    if config.frames is not None:
+        count = min(config.frames, count)
+    if not 0 <= config.panel_frame < count:
+        raise ArgumentError(f"panel_frame: expected 0 to {count - 1}, got {config.panel_frame}")
     return SampleFrames(
-        lambda numbers: data.loader(Subset(frames, numbers)),
-        number,
+        lambda indices: data.loader(Subset(samples, indices)),
+        count,
         view.name,
         [config.panel_frame],
-        view_key(config, view),
+        {"samples": identity},
     )
 
 
-NO_MATTER = ("batch_size", "rig.", "entries", "seed", "num_test", "panorama_size", "num_train", "num_val")
-"""Beginnings of keys of the data that leave an evaluation as it is, or that the study sets by itself."""
-
-
-def view_key(config: DictConfig, view: View) -> dict[str, Any]:
-    """What the frames of a view depend on."""
-
-    def plain(node: Any) -> Any:
-        return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
-
-    flat = flat_settings(OmegaConf.create({"data": plain(config.data)}), CHANGES_NOTHING)
-    key = {k: v for k, v in flat.items() if not k.removeprefix("data.").startswith(NO_MATTER)}
-    key |= {name: plain(config[name]) for name in ("image_size", "panorama_size", "panel_frame")}
-    key["level"] = config.model.level
-    if "rig" in config.data:
-        fisheye = view.inputs == "fisheye"
-        key["rig"] = plain(config.rig if fisheye else config.equirect_rig)
-        key["equirect_size"] = None if fisheye else plain(config.equirect_size)
-    return key
-
-
-def _rendered(config: DictConfig, view: View) -> tuple[SampleDataModule, Dataset[Sample]]:
+def _rendered(config: DictConfig, view: View) -> Samples:
     rig: CameraRig = build(config.rig if view.inputs == "fisheye" else config.equirect_rig, "rig")
     size = config.image_size if view.inputs == "fisheye" else config.equirect_size
     if size is not None:
@@ -114,33 +100,29 @@ def _rendered(config: DictConfig, view: View) -> tuple[SampleDataModule, Dataset
         node["num_test"] = config.frames
     del node["rig"]
     data = build(node, "data", rig=rig.rotated(tilt=math.radians(view.angle_deg)))
-    _show(data, config)
+    _set_view(data, config)
     data.render("test")
-    return data, data.dataset("test")
+    samples = data.dataset("test")
+    world = samples.world
+    first = world.frame(samples.seeds[0]).name
+    return Samples(data, samples, [world.fingerprint(samples.view), repr(world.meshes), first])
 
 
-def _on_disk(config: DictConfig, view: View) -> tuple[SampleDataModule, Dataset[Sample]]:
+def _on_disk(config: DictConfig, view: View) -> Samples:
     data = build(config.data, "data")
     if not isinstance(data, OmniStereoDataModule):
         raise ArgumentError("data: expected data=fisheye_scenes, or a set on disk such as data=omnihouse")
     size = None if config.image_size is None else [int(side) for side in config.image_size]
-    turned = RotateFisheye(tilt=math.radians(view.angle_deg), image_size=size)
-    _show(data, config)
-    return data, data.read("test", turned, ToView(data.view))
+    _set_view(data, config)
+    samples = data.read(
+        "test", RotateFisheye(tilt=math.radians(view.angle_deg), image_size=size), ToView(data.view)
+    )
+    return Samples(
+        data, samples, [rig_fingerprint(samples.rig, (samples, samples.frames, data.view, view, size))]
+    )
 
 
-def _show(data: DepthDataModule, config: DictConfig) -> None:
+def _set_view(data: DepthDataModule, config: DictConfig) -> None:
     """Let samples hold what networks of all kinds take."""
     level = config.model.level
     data.view, data.min_depth = SampleView(level, level - 2, True, (80, 160)), config.model.min_depth
-
-
-def training_depths(training: DictConfig, level: int, most: int) -> tuple[Tensor, Tensor]:
-    """Inverse depth and validity ``(F, V_{level-2})`` of at most ``most`` frames that a training has, evenly chosen."""
-    data = build(training.data, "data")
-    data.view, data.min_depth = SampleView(depth_level=level - 2), training.model.min_depth
-    frames: Dataset[Sample] = data.plain_train_dataset()
-    total = len(frames)  # type: ignore[arg-type]
-    chosen = range(0, total, max(1, -(-total // most)))
-    samples = [frames[index] for index in chosen]
-    return torch.stack([s["inverse_depth"] for s in samples]), torch.stack([s["valid"] for s in samples])

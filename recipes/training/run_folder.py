@@ -9,7 +9,7 @@ import os
 import shutil
 import socket
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from functools import lru_cache
@@ -88,8 +88,12 @@ def _holder(file: IO[str]) -> str:
     return file.read(200) or "unknown process"
 
 
-NO_SETTINGS = ("output", "resume", "init_weights", "paths.run", "tags")
-"""Keys that say nothing about what is learned."""
+NO_SETTINGS = (
+    *("output", "resume", "tags", "paths.*", "callbacks.*", "logger.*"),
+    *("data.cache_dir", "data.num_workers"),
+    *("trainer.accelerator", "trainer.log_every_n_steps", "trainer.enable_model_summary"),
+)
+"""Keys that a training's result does not depend on: files, the machine, and reports."""
 
 STATE = ("state_dict", "optimizer_states", "lr_schedulers", "loops", "global_step")
 """What a training needs to go on; weights alone are for ``init_weights``."""
@@ -156,30 +160,30 @@ def stored_network(path: Path) -> dict[str, Any]:
     return read_checkpoint("resume", path, "a checkpoint of sphericalvision-train", network_of)
 
 
-def changed_settings(folder: Path, config: DictConfig, leave: Sequence[str] = NO_SETTINGS) -> list[str]:
-    """What ``config`` sets otherwise than the run in a folder, but for keys to ``leave``: ``key was old, is new``."""
+def changed_settings(folder: Path, config: DictConfig) -> list[str]:
+    """Settings in which ``config`` differs from the run in a folder: ``key was old, is new``."""
     path = folder / "config.yaml"
     if not path.is_file():
         return []
-    old = _written_settings(path.read_text(encoding="utf-8"), str(path), tuple(leave))
-    new = flat_settings(config, leave)
+    old = _written_settings(path.read_text(encoding="utf-8"), str(path))
+    new = flat_settings(config)
     keys = [key for key in {**old, **new} if old.get(key) != new.get(key)]
     return [f"{key} was {old.get(key)}, is {new.get(key)}" for key in keys]
 
 
 @lru_cache(maxsize=64)  # a study asks of every training four times whether it is done
-def _written_settings(text: str, where: str, leave: tuple[str, ...]) -> dict[str, Any]:
-    return flat_settings(OmegaConf.create(parse_yaml(text, where) or {}), leave)
+def _written_settings(text: str, where: str) -> dict[str, Any]:
+    return flat_settings(OmegaConf.create(parse_yaml(text, where) or {}))
 
 
-def flat_settings(config: Any, leave: Sequence[str] = NO_SETTINGS) -> dict[str, Any]:
-    """All keys with dots, resolved, but for those to ``leave``, which are patterns of ``fnmatch``.
+def flat_settings(config: Any) -> dict[str, Any]:
+    """All keys that a training's result depends on, with dots, resolved.
 
-    Paths in the run's own folder are told from there, since the folder may have moved.
+    Paths in the run's own folder are relative to it, since the folder may have moved.
 
     Examples:
-        >>> config = OmegaConf.create({"output": "here", "data": {"kind": "room", "_target_": "Rooms"}})
-        >>> flat_settings(config, ["output", "*_target_"])
+        >>> config = OmegaConf.create({"output": "here", "data": {"kind": "room", "num_workers": 4}})
+        >>> flat_settings(config)
         {'data.kind': 'room'}
     """
     plain: Any = OmegaConf.to_container(config, resolve=True, throw_on_missing=False)
@@ -188,7 +192,7 @@ def flat_settings(config: Any, leave: Sequence[str] = NO_SETTINGS) -> dict[str, 
     return {
         key: value.replace(home, "") if home and isinstance(value, str) else value
         for key, value in leaves
-        if not any(fnmatchcase(key, pattern) for pattern in leave)
+        if not any(fnmatchcase(key, pattern) for pattern in NO_SETTINGS)
     }
 
 

@@ -57,7 +57,7 @@ def register_disturbance(name: str) -> Callable[[Disturb], Disturb]:
 
     Args:
         name: with which ``CameraDisturbance``, ``RandomFaults``, ``data.world.faults`` in a training and
-            ``benchmark.tracks`` know it.
+            the tracks of ``sphericalvision-benchmark`` know it.
 
     Raises:
         ArgumentError: another disturbance has the name already.

@@ -31,10 +31,10 @@ def test_keys_of_predict(words: tuple[str, ...], expected: Preparation) -> None:
 def test_other_commands_compose_the_same_group_where_they_have_it() -> None:
     with initialize_config_module("sphericalvision.conf", version_base="1.3"):
         evaluation = compose("evaluate")
-        study = compose("study", ["preset=benchmark", "benchmark.align=false"]).benchmark
+        benchmark = compose("benchmark", ["align=false"])
         data = compose("train", ["data=capture", "data.photometric=false"]).data
     assert (evaluation.photometric, evaluation.align) == (False, False)
-    assert (study.photometric, study.align) == (True, False)
+    assert (benchmark.photometric, benchmark.align) == (True, False)
     assert (data.photometric, "align" in data) == (False, False)
 
 

@@ -37,7 +37,7 @@ def test_the_demonstration_writes_everything(
         assert (folder / name).stat().st_size > 0, name
     assert {"index", "depth", "inverse_depth", "directions"} <= set(np.load(folder / "depth.npz"))
     table = json.loads((folder / "metrics.json").read_text())
-    assert list(table) == ["IcoSweepNet", "photo-consistency sweep", "constant depth map", "constant depth"]
+    assert list(table) == ["IcoSweepNet", "constant depth map", "constant depth", "winner-takes-all"]
     overview = cv2.imread(str(folder / "overview.png")).astype(int)
     height, width = (size // 8 for size in overview.shape[:2])
     blocks = overview[: 8 * height, : 8 * width].reshape(8, height, 8, width, 3)

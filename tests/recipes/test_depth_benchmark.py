@@ -20,6 +20,7 @@ from sphericalvision.io.images import read_image
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep
 from sphericalvision.models.weights.files import identity_of
 from sphericalvision.recipes.datamodules.scenes import SceneDataModule
+from sphericalvision.recipes.evaluation import benchmark as running
 from sphericalvision.recipes.evaluation import methods, track_frames
 from sphericalvision.recipes.evaluation.loop import Limit, errors_of_frame
 from sphericalvision.recipes.evaluation.methods import SCALE, Method, make_method
@@ -27,7 +28,6 @@ from sphericalvision.recipes.evaluation.places import FrameTruth, PlaceErrors
 from sphericalvision.recipes.evaluation.records import Record
 from sphericalvision.recipes.evaluation.track_frames import Size, TrackFrame, TrackFrames, render_frame
 from sphericalvision.recipes.evaluation.tracks import TRACKS, chosen_tracks
-from sphericalvision.recipes.study import benchmark as running
 from sphericalvision.scenes.world import HELD_OUT_SEED
 from sphericalvision.sphere.intake import Intake
 from sphericalvision.sweep import DepthEstimate
@@ -165,16 +165,15 @@ def test_another_aligner_changes_all_records(monkeypatch: pytest.MonkeyPatch) ->
 
 
 WORDS = (
-    "preset=benchmark",
-    "benchmark.methods=[constant,semi-global-sweep]",
-    "benchmark.tracks=[room,tilt_0,tilt_45]",
-    "benchmark.frames=2",
-    "benchmark.level=3",
-    "benchmark.panorama_rows=8",
-    "benchmark.image_rows=16",
-    "benchmark.align=false",
-    "benchmark.samples_per_pixel=1",
-    "benchmark.workers=0",
+    "methods=[constant,semi-global-sweep]",
+    "tracks=[room,tilt_0,tilt_45]",
+    "frames=2",
+    "level=3",
+    "panorama_rows=8",
+    "image_rows=16",
+    "align=false",
+    "samples_per_pixel=1",
+    "workers=0",
     "panel_height=20",
     "output=out",
 )
@@ -191,7 +190,7 @@ def test_it_is_killed_and_goes_on(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scene_cache: str
 ) -> None:
     monkeypatch.setattr(methods, "TRAINING_SCENES", 3)
-    words = (*WORDS, f"benchmark.cache_dir={scene_cache}")
+    words = (*WORDS, f"cache_dir={scene_cache}")
     asked: list[tuple[str, str]] = []
     answer = Method.__call__
 
@@ -203,7 +202,7 @@ def test_it_is_killed_and_goes_on(
 
     monkeypatch.setattr(Method, "__call__", counting)
     with pytest.raises(SystemExit):
-        run("study", *words)
+        run("benchmark", *words)
     assert len(asked) == 5
     before = {path: path.read_text() for path in (tmp_path / "out/records").rglob("*.json")}
     assert sum(len(json.loads(text)["frames"]) for text in before.values()) == 5
@@ -215,7 +214,7 @@ def test_it_is_killed_and_goes_on(
         return answer(self, frame)
 
     monkeypatch.setattr(Method, "__call__", noting)
-    run("study", *words)
+    run("benchmark", *words)
     assert len(finished) == 3 * 2 * 2 - 5
     first = (tmp_path / "out/benchmark.md").read_text()
     assert first.count("| semi-global-sweep |") >= 3
@@ -223,18 +222,18 @@ def test_it_is_killed_and_goes_on(
     assert result_of(tmp_path / "out", "constant")["num_frames"] == 2
     for name in ("room", "tilt_0", "tilt_45"):
         assert read_image(tmp_path / f"out/pages/{name}.png").std() > 0.05
-    run("study", *words)
+    run("benchmark", *words)
     assert len(finished) == 3 * 2 * 2 - 5
     assert (tmp_path / "out/benchmark.md").read_text() == first
 
 
 def test_it_takes_other_frames_and_keeps_both(run: Run, tmp_path: Path, scene_cache: str) -> None:
-    words = (*WORDS, f"benchmark.cache_dir={scene_cache}", "benchmark.tracks=[room]", "benchmark.frames=1")
-    words = (*words, "benchmark.methods=[semi-global-sweep]")
+    words = (*WORDS, f"cache_dir={scene_cache}", "tracks=[room]", "frames=1")
+    words = (*words, "methods=[semi-global-sweep]")
     results, pages = [], []
-    run("study", *words, "benchmark.frames=2")
+    run("benchmark", *words, "frames=2")
     for first in (0, 1, 0):  # of the records that frames=2 leaves only the first is drawn
-        run("study", *words, f"benchmark.first_frame={first}")
+        run("benchmark", *words, f"first_frame={first}")
         results.append(result_of(tmp_path / "out", "semi-global-sweep"))
         pages.append((tmp_path / "out/pages/room.png").read_bytes())
     kept = json.loads((tmp_path / "out/records/room/semi-global-sweep.json").read_text())["frames"]
@@ -250,21 +249,19 @@ def scene_cache(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def test_what_does_not_fit_is_told(failing: Callable[..., str]) -> None:
-    assert "benchmark.tracks" in failing("study", *WORDS, "benchmark.tracks=[rooms]")
-    assert "given twice" in failing("study", *WORDS, "benchmark.methods=[constant,constant]")
-    assert "benchmark.methods: expected a list (not empty)" in failing(
-        "study", *WORDS, "benchmark.methods=[]"
-    )
-    assert "benchmark.frames" in failing("study", *WORDS, "benchmark.frames=0")
-    assert "benchmark.first_frame" in failing("study", *WORDS, "benchmark.first_frame=-1")
+    assert "tracks: expected" in failing("benchmark", *WORDS, "tracks=[rooms]")
+    assert "given twice" in failing("benchmark", *WORDS, "methods=[constant,constant]")
+    assert "methods: expected a list (not empty)" in failing("benchmark", *WORDS, "methods=[]")
+    assert "frames: expected" in failing("benchmark", *WORDS, "frames=0")
+    assert "first_frame: expected" in failing("benchmark", *WORDS, "first_frame=-1")
 
 
 @pytest.mark.slow
 def test_processes_give_the_same(run: Run, tmp_path: Path, scene_cache: str) -> None:
     """One spawned process measures what this one does."""
-    small = (*WORDS, "benchmark.tracks=[room]", "benchmark.frames=1", f"benchmark.cache_dir={scene_cache}")
-    run("study", *small)
-    run("study", *small, "benchmark.workers=1", "output=other")
+    small = (*WORDS, "tracks=[room]", "frames=1", f"cache_dir={scene_cache}")
+    run("benchmark", *small)
+    run("benchmark", *small, "workers=1", "output=other")
     one, other = (result_of(tmp_path / folder, "semi-global-sweep")["errors"] for folder in ("out", "other"))
     assert one["fine"] == other["fine"]
     assert one["panorama"] == other["panorama"]

@@ -22,7 +22,7 @@ from sphericalvision.models import DepthNetwork, SemiGlobalSweep, WinnerTakesAll
 from sphericalvision.models.depth_network import DepthEstimate
 from sphericalvision.recipes.evaluation.frames import SampleFrames
 from sphericalvision.recipes.evaluation.loop import VertexErrors, evaluate, mean_errors_by_method
-from sphericalvision.recipes.evaluation.methods import Answer, AsUsed, Method, Scale, photographs_of
+from sphericalvision.recipes.evaluation.methods import Answer, AsUsed, Method, Scale, camera_images
 from sphericalvision.sweep import inverse_depth_from_index
 from tests.recipes.tiny import TINY_SCENES, Run
 from tests.worlds import scenes as world_scenes
@@ -36,7 +36,7 @@ def batch(rig: CameraRig, scenes: int = 2) -> dict[str, Any]:
     to_sphere = ToSphere(
         4, antialias=True
     )  # the bytes that a predictor sees, looked up without another rounding
-    looked_up = [to_sphere.images(images, rig) for rig, images in photographs_of(samples)]
+    looked_up = [to_sphere.images(images, rig) for rig, images in camera_images(samples)]
     return {**samples, "images": torch.stack(looked_up)}
 
 

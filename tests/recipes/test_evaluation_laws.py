@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import math
 from pathlib import Path
 from typing import Any
@@ -25,9 +26,10 @@ from sphericalvision.recipes.evaluation.loop import (
     errors_of_frame,
     mean_errors_by_method,
 )
-from sphericalvision.recipes.evaluation.methods import SCALE, Answer, make_method
+from sphericalvision.recipes.evaluation.methods import SCALE, Answer, Method, make_method
 from sphericalvision.recipes.evaluation.pictures import camera_picture
 from sphericalvision.recipes.evaluation.records import Record
+from sphericalvision.recipes.evaluation.results import Results
 from sphericalvision.recipes.evaluation.strips import StripErrors, table_with_published
 from sphericalvision.recipes.evaluation.tables import Cell, Table, error_table
 from sphericalvision.recipes.evaluation.track_frames import Size, render_frame
@@ -155,8 +157,9 @@ TABLE = Table(
     "50 % of\\N",
     ("", "a_b", "c", "d"),
     [
-        [["x & y~^", Cell(1.25, 0.5), 2.0, "t"]],
-        [["<z> # {$}", None, 1e-7, None], ["°", Cell(3, None, 0, (2, 4), True), 0.5, "–"]],
+        ["x & y~^", Cell(1.25, 0.5), 2.0, "t"],
+        ["<z> # {$}", None, 1e-7, None],
+        ["°", Cell(3, None, 0, (2, 4), True), 0.5, "–"],
     ],
 )
 
@@ -186,7 +189,7 @@ def test_a_table_in_all_formats(tmp_path: Path) -> None:
         "<p>50 % of\\N</p>", "<table><tr><th></th><th>a_b</th><th>c</th><th>d</th></tr>",
         "<tr><td>x &amp; y~^</td><td>1.25 ± 0.50</td><td>2.00</td><td>t</td></tr>",
         "<tr><td>&lt;z&gt; # {$}</td><td>–</td><td>0.00</td><td>–</td></tr>",
-        "<tr><td>°</td><td>**3** (2–4)</td><td>0.50</td><td>–</td></tr></table>",
+        "<tr><td>°</td><td><b>3</b> (2–4)</td><td>0.50</td><td>–</td></tr></table>",
     ]  # fmt: skip
     TABLE.save(tmp_path / "a.b", ".md", ".csv", ".tex")
     written = {path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()}
@@ -194,6 +197,44 @@ def test_a_table_in_all_formats(tmp_path: Path) -> None:
     assert error_table("", {"a": {"x": 1.0, "y": 2.0}, "b": {"y": 3.0, "x": 4.0}}).texts() == [
         ["a", "1.00", "2.00"], ["b", "4.00", "3.00"],
     ]  # fmt: skip
+
+
+def results(errors: dict[str, dict[str, list[float]]]) -> Results:
+    """Set of frames -> method -> the number of each frame; methods called alike but for a digit are one model."""
+    records: dict[str, dict[str, Record]] = {}
+    for frames, by_method in errors.items():
+        for name, values in by_method.items():
+            record = records.setdefault(frames, {}).setdefault(name, Record())
+            for frame, value in enumerate(values):
+                record.add(str(frame), {"metres": {"AbsRel": value, "d<1.25": value}})
+    net = ConstantDepth(2, *SCALE)
+    names = next(iter(errors.values()))
+    return Results([Method(name, net, label=name.rstrip("0123456789")) for name in names], records)
+
+
+def test_ratios_are_those_of_the_same_seed_to_the_first_set() -> None:
+    """3 / 1 and 10 / 2 are 4 in the mean, √2 apart; the ratio of the means would be 13 / 3."""
+    table = results({
+        "level": {"net0": [0.5, 1.5], "net1": [2.0, 2.0], "sweep": [4.0, 4.0]},
+        "tilted": {"net0": [3.0, 3.0], "net1": [8.0, 12.0], "sweep": [1.0, 1.0]},
+    }).against("", "metres AbsRel", {"0": "level", "45": "tilted"})  # fmt: skip
+    assert table.columns == ("model", "0", "45", "45 / 0")
+    assert table.texts() == [
+        ["net", "1.50 ± 0.71", "6.50 ± 4.95", "4.000 ± 1.414"],
+        ["sweep", "4.00", "1.00", "0.250"],
+    ]
+
+
+@pytest.mark.parametrize(("error", "best"), [("AbsRel", 0), ("d<1.25", 1)])
+def test_the_best_of_a_row_is_the_least_error_or_the_largest_fraction(error: str, best: int) -> None:
+    table = results({"room": {"a": [0.25, 0.25], "b": [0.5, 0.5], "c": []}}).by_method(
+        "", "track", f"metres {error}", 2
+    )
+    texts = ["0.25 (0.25–0.25)", "0.50 (0.50–0.50)"]
+    texts[best] = texts[best].replace(" ", "** ", 1).join(("**", ""))
+    assert table.texts() == [["room", *texts, "–"]]
+    same = Table.of(json.loads(json.dumps(table._asdict())))
+    assert same.texts() == table.texts()
 
 
 def test_rigs_of_tracks_are_what_their_tracks_say() -> None:

@@ -226,14 +226,8 @@ def test_keys_of_training_are_refused_where_nothing_is_trained(
 
 
 def test_a_command_has_its_own_presets(failing: Callable[..., str]) -> None:
-    assert "known are benchmark, paper, random_tilts, small, tiny" in failing("study", "preset=fast")
+    assert "known are paper, random_tilts, small, tiny" in failing("study", "study=fast")
     assert "known are fast, fine, finest, live" in failing("predict", RIG, IMAGES, "preset=paper")
-
-
-@pytest.mark.parametrize("word", ["seeds=[1]", "angles_deg=[7]", "data=omnihouse", "models.omnimvs=null"])
-def test_the_benchmark_refuses_keys_of_the_trained_study(failing: Callable[..., str], word: str) -> None:
-    key = word.partition("=")[0]
-    assert f"{key}: does not count with the options given" in failing("study", "preset=benchmark", word)
 
 
 @pytest.mark.usefixtures("capture")

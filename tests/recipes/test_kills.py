@@ -40,7 +40,7 @@ COMMANDS = {
         "height=48",
         "skip_existing=true",
     ],
-    "study": ["preset=tiny", "data.cache_dir=scenes"],
+    "study": ["study=tiny", "data.cache_dir=scenes"],
 }
 # What differs from run to run: times, places, and what tells how a run went.
 VARY = (".lock", "config.yaml", ".log", "events", ".pt", "multirun.yaml")

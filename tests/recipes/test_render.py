@@ -53,8 +53,8 @@ def test_a_rendered_set_is_read_back_and_evaluated(
         "weights",
         "constant depth map",
         "constant depth",
-        "photo-consistency sweep",
-        "semi-global sweep",
+        "winner-takes-all",
+        "semi-global-sweep",
     ]
     assert all(0 <= row["MAE"] <= row["RMS"] <= 100 for row in table.values())
     assert table["constant depth map"]["MAE"] < table["weights"]["MAE"]

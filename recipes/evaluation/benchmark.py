@@ -1,23 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``sphericalvision-study preset=benchmark``: methods by tracks, in processes; or one network on one track."""
+"""``sphericalvision-benchmark``: methods by tracks, in processes; or one network on one track."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import torch
+from annotated_types import Ge, MinLen
 from joblib import Parallel, delayed
-from omegaconf import DictConfig, OmegaConf
+from pydantic.dataclasses import dataclass
 
 from sphericalvision.capture.estimating import threads_kept
 from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.core import FileFormatError
 from sphericalvision.io.images import write_image
 from sphericalvision.models import DepthNetwork
-from sphericalvision.recipes.app.cli import console
+from sphericalvision.recipes.app.checks import flat
+from sphericalvision.recipes.app.cli import console, print_config
+from sphericalvision.recipes.app.kinds import STRICT, Count, Number, Positive, Text
 from sphericalvision.recipes.evaluation.loop import Limit, evaluate, limit_text
 from sphericalvision.recipes.evaluation.methods import SCALE, Method, check_names, make_method
 from sphericalvision.recipes.evaluation.pictures import (
@@ -34,7 +37,28 @@ from sphericalvision.recipes.evaluation.track_frames import NATURAL_SIZE, Size, 
 from sphericalvision.recipes.evaluation.tracks import TRACKS, Track, chosen_tracks
 from sphericalvision.viz.panorama import icosphere_to_panorama
 
-__all__ = ["compare", "run_track", "scores"]
+__all__ = ["BenchmarkConfig", "benchmark", "benchmark_tables", "run_track", "scores"]
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class BenchmarkConfig:
+    """Keys of ``conf/benchmark.yaml``."""
+
+    output: Text
+    preparation: Preparation
+    methods: Annotated[list[str], MinLen(1)]
+    tracks: list[str]
+    frames: Count
+    first_frame: Number
+    meshes: list[str]
+    level: Annotated[int, Ge(3)]
+    panorama_rows: Annotated[int, Ge(2)]
+    image_rows: Annotated[int, Ge(8)]
+    samples_per_pixel: Count
+    max_depth_m: Positive | Literal["auto"]
+    cache_dir: Text | None
+    panel_height: Count
+    workers: Number
 
 
 BY_TRACK: dict[str, tuple[str, str, int]] = {
@@ -53,37 +77,35 @@ BY_TRACK: dict[str, tuple[str, str, int]] = {
 """Tables of tracks by methods: heading -> title, which of the errors, and its digits."""
 
 
-def compare(config: DictConfig, folder: Path) -> Results:
-    """Measure what is missing, write tables and pictures; returns what was measured."""
-    node = config.benchmark
-    preparation = Preparation(node.photometric, node.align)
-    size = Size(node.level, node.panorama_rows, node.image_rows, node.samples_per_pixel, preparation)
-    numbers = range(node.first_frame, node.first_frame + node.frames)
-    cache = None if node.cache_dir is None else Path(node.cache_dir).absolute()
-    words = tuple(map(str, node.methods))
-    tracks = chosen_tracks([str(word) for word in node.tracks], [str(mesh) for mesh in node.meshes])
+def benchmark(config: BenchmarkConfig, folder: Path) -> Results:
+    """Measure what is missing, write tables and pictures; returns the results."""
+    print_config(config, folder)
+    size = Size(
+        config.level, config.panorama_rows, config.image_rows, config.samples_per_pixel, config.preparation
+    )
+    numbers = range(config.first_frame, config.first_frame + config.frames)
+    cache = None if config.cache_dir is None else Path(config.cache_dir).absolute()
+    words, tracks = tuple(config.methods), chosen_tracks(config.tracks, config.meshes)
     methods = _methods(words, size.level, folder)
     sets = [TrackFrames(track, numbers, size, cache) for track in tracks]
-    console.print(f"{len(tracks)} tracks, {node.frames} scenes each, {len(methods)} methods", highlight=False)
-    processes = Parallel(n_jobs=max(1, node.workers), return_as="generator")
+    console.print(
+        f"{len(tracks)} tracks, {config.frames} scenes each, {len(methods)} methods", highlight=False
+    )
+    processes = Parallel(n_jobs=max(1, config.workers), return_as="generator")
     measured = processes(
-        delayed(_measure)(frames, words, folder, config.panel_height, node.max_depth_m) for frames in sets
+        delayed(_measure)(frames, words, folder, config.panel_height, config.max_depth_m) for frames in sets
     )
     records: dict[str, dict[str, Record]] = {}
-    for frames, of_track in zip(sets, measured, strict=True):
-        records[frames.name] = of_track
-        means = {name: record.means["coarse"]["all"]["MAE"] for name, record in of_track.items()}
-        shown = (f"{name} {'–' if mean is None else f'{mean:.2f}'}" for name, mean in means.items())
-        console.print(f"{frames.name}: MAE {', '.join(shown)}", highlight=False)
+    for frames, by_method in zip(sets, measured, strict=True):
+        records[frames.name] = by_method
+        means = {name: record.means["coarse"]["all"]["MAE"] for name, record in by_method.items()}
+        errors = (f"{name} {'–' if mean is None else f'{mean:.2f}'}" for name, mean in means.items())
+        console.print(f"{frames.name}: MAE {', '.join(errors)}", highlight=False)
     results = Results(methods, records)
     pictures = {track.name: f"pages/{track.name}.png" for track in tracks}
-    content = {
-        "config": OmegaConf.to_container(config, resolve=True, throw_on_missing=False),
-        "results": results.plain(),
-    }
-    title = "Benchmark of depth methods"
-    tables = benchmark_tables(results, tracks, size.level, node.max_depth_m)
-    save_report(folder, "benchmark", title, tables, pictures, content)
+    content = {"config": flat(config), "results": results.plain()}
+    tables = benchmark_tables(results, tracks, size.level, config.max_depth_m)
+    save_report(folder, "benchmark", "Benchmark of depth methods", tables, pictures, content)
     return results
 
 
@@ -104,21 +126,21 @@ def benchmark_tables(
     title = (
         f"MAE at {levels['fine']} by kind of place: mean over the frames of all tracks that have such places."
     )
-    tables["By kind of place"] = Table(title, ("place", "% of points", *results.labels), [rows])
+    tables["By kind of place"] = Table(title, ("place", "% of points", *results.labels), rows)
     tilts = {f"{track.tilt_deg:g}°": track.name for track in tracks if track.shared_tilts_deg}
     if len(tilts) > 1:
         title = f"MAE at {levels['coarse']} of the same points, those that two cameras see at every tilt, and ratios."
         tables["Against tilt"] = results.against(title, "coarse shared MAE", tilts)
     rows = []
     for label in results.labels:
-        every, *surest = (results.means(label, f"kept {share:g}", *names)[0] for share in KEPT)
-        rows.append([label, summarize([every]), *(summarize([value / every]) for value in surest)])
-    columns = ("method", "MAE of all", *(f"surest {100 * share:g} %" for share in KEPT[1:]))
+        total, *surest = (results.means(label, f"kept {fraction:g}", *names)[0] for fraction in KEPT)
+        rows.append([label, summarize([total]), *(summarize([error / total]) for error in surest)])
+    columns = ("method", "MAE of all", *(f"surest {100 * fraction:g} %" for fraction in KEPT[1:]))
     title = (
         f"MAE at {levels['coarse']} of the points of which a method is surest, as a ratio to that of all; "
         "mean over tracks."
     )
-    tables["Of the surest points"] = Table(title, columns, [rows])
+    tables["Of the surest points"] = Table(title, columns, rows)
     tables["Cost of a frame"] = _cost(results)
     return tables
 
@@ -142,7 +164,7 @@ def _cost(results: Results) -> Table:
         "What a frame takes: operations of matrices and convolutions in the reference kernels, and CPU seconds on "
         "one thread (median)."
     )
-    return Table(title, ("method", "parameters", "GFLOP", "CPU s"), [rows])
+    return Table(title, ("method", "parameters", "GFLOP", "CPU s"), rows)
 
 
 def scores(
@@ -194,11 +216,11 @@ def _measure(
 ) -> dict[str, Record]:
     """Measure a track and draw its page; returns the records of its frames by method."""
     records = run_track(frames, _methods(words, frames.size.level, folder), folder, max_depth)
-    place = folder / "pages" / f"{frames.track.name}.png"
+    page = folder / "pages" / f"{frames.track.name}.png"
     key = {name: record.key for name, record in records.items()} | {"rows": rows, "frames": frames.drawn}
-    if not (place.is_file() and _key_of(place) == key):
-        write_image(place, frames_sheet({name: _drawn(frames, name, records, rows) for name in frames.drawn}))
-        write_json(place.with_suffix(".json"), key)
+    if not (page.is_file() and _key_of(page) == key):
+        write_image(page, frames_sheet({name: _drawn(frames, name, records, rows) for name in frames.drawn}))
+        write_json(page.with_suffix(".json"), key)
     return records
 
 

@@ -21,6 +21,7 @@ from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.recipes.app.cli import choose_device, console
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Positive, Size, Text
 from sphericalvision.recipes.speed.measuring import (
+    MIN_ROUNDS,
     Measurement,
     comparison_table,
     machine,
@@ -49,23 +50,25 @@ class SpeedKeys(TypedDict, total=False):
     num_frames: Count
     image_sides: Annotated[list[Count], MinLen(1)]
     presets: Annotated[list[Literal["default", "live", "fast", "fine", "finest"]], MinLen(1)]
-    variants: list[str]
+    variants: list[Literal["icosweepnet", "icosweepnet_small", "icosweepnet_rt"]]
     convolution_settings: list[Size]
     num_points: Count
 
 
 GROUPS = {
     "cameras": "cameras",
-    **dict.fromkeys(("convolutions", "network", "variants", "training", "sweep"), "networks"),
+    **dict.fromkeys(("convolutions", "network", "variants"), "networks"),
     **dict.fromkeys(("data", "fps", "presets"), "frames"),
     "busy": "busy",
     "gpu": "gpu",
 }
-"""Group -> the module of this folder that has a function of its name, of the configuration and the device; that
-yields the comparisons, each made when its turn comes."""
+"""Group -> the module of this folder with a function of its name, which takes the configuration and the device and
+yields comparisons."""
 
 
-def measure_speed(config: Annotated[DictConfig, SpeedKeys], folder: Path) -> list[Measurement]:
+def measure_speed(
+    config: Annotated[DictConfig, SpeedKeys], folder: Path, min_rounds: int = MIN_ROUNDS
+) -> list[Measurement]:
     """Measure the groups that ``config`` names; the tables go to ``folder``.
 
     Raises:
@@ -89,14 +92,13 @@ def measure_speed(config: Annotated[DictConfig, SpeedKeys], folder: Path) -> lis
     for group in config.groups or (["network"] if device.type == "cpu" else ["gpu"]):
         module = import_module(f"sphericalvision.recipes.speed.{GROUPS[group]}")
         for comparison in getattr(module, group)(config, device):
-            if not pattern.search(comparison.title):
-                titles.append(comparison.title)
-                continue
-            with console.status(comparison.title):
-                measured = measure(comparison, config.seconds)
-            comparison_table(measured).print()
-            rows += measured
-            written = save_measurements(folder, rows, facts)  # an interruption loses little
+            titles.append(comparison.title)
+            if pattern.search(comparison.title):
+                with console.status(comparison.title):
+                    measured = measure(comparison, config.seconds, min_rounds)
+                comparison_table(measured).print()
+                rows += measured
+                written = save_measurements(folder, rows, facts)  # an interruption loses little
     if not rows:
         raise ArgumentError(f"only: expected a part of a title, got {config.only!r}; there are {titles}")
     for path in written:

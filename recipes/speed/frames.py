@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames as they are used: of a ``Predictor``, by size and preset, with their errors; and rendered."""
+"""Frames of a ``Predictor``, by size and preset, with their errors; and of the renderer."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ CONDITIONS = {
     "disturbed": ("together",),
     "other worlds": ("patchwork", "rough", "glazed"),
 }
-"""What presets are compared in -> tracks of the comparison of methods, in turns; no training uses their scenes."""
+"""Conditions that presets are compared in -> tracks of the benchmark, in turns; no training uses their scenes."""
 
 THREADS = (1, 2)
 IMAGE_ROWS = 512
-"""Of the images that presets are compared with: what the finest of them is for."""
+"""Of the images that presets are compared with: the size that the finest of them is for."""
 FIRST = 56
-"""Of their scenes: those before had a part in the choice of weights that ship."""
+"""Of their scenes: earlier ones had a part in the choice of weights that ship."""
 
 
 def data(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
@@ -63,11 +63,12 @@ def fps(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     for side in config.image_sides:
         rig = ring_rig(4, image_size=(side, side))
         images = render_rig(make_scene("room", seed=1), rig)
-        runs = {}
-        for preset in config.presets:
-            predictor = preset_predictor(preset, rig, device)
-            for threads in THREADS if device.type == "cpu" else (1,):
-                runs[f"{preset}, {threads} threads"] = partial(_on_threads, predictor, images, threads)
+        predictors = {name: preset_predictor(name, rig, device) for name in config.presets}
+        runs: dict[str, Run] = {
+            f"{name}, {threads} threads": partial(_on_threads, predictor, images, threads)
+            for name, predictor in predictors.items()
+            for threads in (THREADS if device.type == "cpu" else (1,))
+        }
         yield Comparison(f"Predictor: a frame of four images of {side} x {side}", runs)
 
 
@@ -88,9 +89,7 @@ def presets(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
             {name: partial(_error, predictor, own) for name, predictor in predictors.items()},
             unit="% of N",
         )
-    calls: dict[str, Run] = {
-        name: partial(_on_threads, predictor, first.images, 1) for name, predictor in predictors.items()
-    }
+    calls = {name: partial(_on_threads, predictor, first.images, 1) for name, predictor in predictors.items()}
     yield Comparison("presets: a frame, one thread", calls)
     memory = {name: partial(added_memory, run, device) for name, run in calls.items()}
     yield Comparison("presets: memory that a frame adds", memory, unit="MB")
@@ -110,7 +109,7 @@ def _error(predictor: Predictor, frames: Sequence[TrackFrame]) -> float:
 
 
 def preset_predictor(name: str, rig: CameraRig, device: torch.device) -> Predictor:
-    """What ``sphericalvision-predict`` makes under a preset, for scenes of natural size."""
+    """The predictor of ``sphericalvision-predict`` under a preset, for scenes of natural size."""
     words = ["calibration=rig.yaml", "images=images", f"device={device.type}", "min_depth=0.55"]
     config = compose("predict", words if name == "default" else [f"preset={name}", *words])
     return predictor_for(rig, typed(PredictConfig, config))

@@ -1,18 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a device with a GPU gives, the figures that matter most first: each is saved as soon as it is there."""
+"""Figures of a device with a GPU, the most important first: each is saved as soon as it is measured."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import torch
-from hydra import compose
 from omegaconf import DictConfig
 from torch import Tensor
 
@@ -21,8 +16,7 @@ from sphericalvision.capture import Predictor
 from sphericalvision.capture.graphs import GraphedFunction
 from sphericalvision.models import DepthNetwork, IcoSweepNet
 from sphericalvision.recipes.app.checkpoints import load_network
-from sphericalvision.recipes.commands.train import instantiate_run
-from sphericalvision.recipes.speed.measuring import Comparison, Run, added_memory, random_images
+from sphericalvision.recipes.speed.measuring import Comparison, Run, random_images
 from sphericalvision.scenes import make_scene, render_rig
 
 __all__ = ["gpu"]
@@ -36,115 +30,74 @@ PREDICTORS: dict[str, dict[str, Any]] = {
     "default, bfloat16": {"precision": "bfloat16"},
     "default, float16": {"precision": "float16"},
 }
-BATCH = 16
-TRAINING = [
-    "experiment=refinedsweepnet/fusion",
-    "data=random_rigs",
-    "data.cache_dir=null",
-    f"data.num_workers={max(1, (os.cpu_count() or 1) - 1)}",
-]
-"""What samples are trained with, each of them rendered for its step."""
-LARGEST = 800
+BATCHES = 1, 16
+MAX_SIDE = 800
 """Height and width of the images."""
 
 
 def gpu(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
-    """Parity, a frame, training, batches of frames, memory and rendering, on a device."""
-    side = min(LARGEST, max(config.image_sides))
+    """Parity, a frame of a ``Predictor``, forward passes and training steps, alone and in batches."""
+    side = min(MAX_SIDE, max(config.image_sides))
     rig, ring = ring_rig(4, image_size=(side, side)), ring_rig(4).to(device)
-    rendered = render_rig(make_scene("room", seed=1), rig)
-    images = {name: (255 * image).round().byte() for name, image in rendered.items()}
+    images = {
+        name: (255 * image).byte() for name, image in render_rig(make_scene("room", seed=1), rig).items()
+    }
+
+    def predictor(options: Mapping[str, Any], device: torch.device) -> Predictor:
+        return Predictor(rig, min_depth=0.55, device=device, **options)
+
+    def difference(options: Mapping[str, Any]) -> float:
+        """Of the index on the device from the CPU's in float32, in the mean over seen directions."""
+        expected = predictor({k: v for k, v in options.items() if k == "level"}, torch.device("cpu"))(images)
+        index = predictor(options, device)(images).index.cpu()
+        return float((index - expected.index)[expected.seen].abs().mean())
+
     yield Comparison(
         "the index on the device and on the CPU, in the mean",
-        {name: partial(_difference, rig, images, device, options) for name, options in PREDICTORS.items()},
+        {name: partial(difference, options) for name, options in PREDICTORS.items()},
         unit="hypotheses",
+    )
+    calls = {name: predictor(options, device) for name, options in PREDICTORS.items()}
+    yield Comparison(
+        f"Predictor: a call with four images of {side} x {side} bytes on the host, until its answer is there",
+        {name: partial(lambda each: each(images).index.cpu(), each) for name, each in calls.items()},
     )
     level, number = config.settings[-1]
     networks: dict[str, Callable[[], DepthNetwork]] = {
-        title: partial(load_network, level=level) for title, level in LEVELS.items()
+        **{title: partial(load_network, level=own) for title, own in LEVELS.items()},
+        f"IcoSweepNet {level}/{number}": partial(
+            IcoSweepNet, level, number, feature_channels=config.feature_channels
+        ),
     }
-    networks[f"IcoSweepNet {level}/{number}"] = partial(
-        IcoSweepNet, level, number, feature_channels=config.feature_channels
-    )
-    for title, network in networks.items():
-        yield Comparison(f"{title}: a forward pass of 1", _forward(network(), ring, 1, device))
-    calls: dict[str, Run] = {}
-    for name, options in PREDICTORS.items():
-        calls[name] = partial(_answer, Predictor(rig, min_depth=0.55, device=device, **options), images)
-    yield Comparison(
-        f"Predictor: a call with four images of {side} x {side} bytes on the host, until its answer is there",
-        _called(calls),
-    )
-    paper = IcoSweepNet(level, number // 2, feature_channels=config.feature_channels)
-    for title, net, batch in (
-        (f"IcoSweepNet {level}/{number // 2}", paper, 1),
-        ("default", networks["default"](), BATCH),
-    ):
-        steps = _steps(net, ring, batch, device)
-        yield Comparison(f"{title}: a training step of {batch}, without the optimiser", steps)
-    steps = {f"{BATCH} samples": _training(device)}
-    yield Comparison(f"default: a training step of {BATCH} samples that are rendered for it", steps)
-    for title, network in networks.items():
-        yield Comparison(f"{title}: a forward pass of {BATCH}", _forward(network(), ring, BATCH, device))
-    yield Comparison(
-        "memory that a forward pass adds",
-        {title: partial(_memory, network, ring, device) for title, network in networks.items()},
-        unit="MB",
-    )
-    small, scene = ring_rig(4, image_size=(256, 256)), make_scene("room", seed=1)
-    yield Comparison(
-        "four images of 256 x 256 rendered, one ray a pixel",
-        {name: partial(render_rig, scene, small.to(name)) for name in dict.fromkeys(("cpu", str(device)))},
-    )
-
-
-def _difference(
-    rig: CameraRig, images: dict[str, Tensor], device: torch.device, options: dict[str, Any]
-) -> float:
-    """How far the index on the device is from the CPU's in float32, in the mean over what is seen."""
-    expected = Predictor(rig, min_depth=0.55, level=options.get("level"))(images)
-    depth = Predictor(rig, min_depth=0.55, device=device, **options)(images)
-    return float((depth.index.cpu() - expected.index)[expected.seen].abs().mean())
+    for batch in BATCHES:
+        for title, network in networks.items():
+            net = network().to(device)
+            yield Comparison(f"{title}: a forward pass of {batch}", _forward(net.eval(), ring, batch, device))
+        net = networks["default"]().to(device)
+        yield Comparison(f"default: a training step of {batch}", _steps(net.train(), ring, batch, device))
 
 
 def _forward(net: DepthNetwork, rig: CameraRig, batch: int, device: torch.device) -> dict[str, Run]:
-    """A forward pass through tables that are there: eager, as a CUDA graph, without one of our kernels, in less."""
-    net = net.to(device).eval()
+    """A forward pass through existing tables: eager, as a CUDA graph, and in half precision."""
     images, tables = random_images(net.level, device, batch), net.tables(rig)
 
-    def forward(within: Callable[[], AbstractContextManager[Any]], inputs: Tensor) -> Tensor:
-        with torch.inference_mode(), within():
+    @torch.inference_mode()
+    def forward(inputs: Tensor, dtype: torch.dtype = torch.float32) -> Tensor:
+        # a cache of casts would outlive the graph that it was filled in
+        with torch.autocast(device.type, dtype, dtype != torch.float32, cache_enabled=False):
             return net(inputs, tables)
 
-    reduced = partial(torch.autocast, device.type, cache_enabled=False)
-    ways: dict[str, Callable[[], AbstractContextManager[Any]]] = {
-        "float32": nullcontext,
-        "float32, hexagons by operators of torch": partial(
-            mock.patch, "sphericalvision.kernels.runs_triton", return_value=False
-        ),
-        "bfloat16": partial(reduced, torch.bfloat16),
-        "float16": partial(reduced, torch.float16),
-    }
-    runs: dict[str, Run] = {"eager": partial(forward, nullcontext, images)}
-    for name, within in ways.items():
-        run = partial(forward, within)
-        if device.type == "cuda":
-            runs[f"graph, {name}"] = partial(GraphedFunction(name, run), images)
-        else:
-            runs[name] = partial(run, images)
-    return _called(runs)
-
-
-def _called(runs: dict[str, Run]) -> dict[str, Run]:
-    """The same after a first call: a CUDA graph is captured at the second, with which measuring begins."""
-    for run in runs.values():
-        run()
+    runs: dict[str, Run] = {"eager": partial(forward, images)}
+    for dtype in (torch.float32, torch.bfloat16, torch.float16):
+        name, run = str(dtype).removeprefix("torch."), partial(forward, dtype=dtype)
+        graphed = GraphedFunction(name, run) if device.type == "cuda" else run
+        graphed(images)  # a CUDA graph is captured at the second call, the warm-up of measuring
+        runs[f"graph, {name}" if device.type == "cuda" else name] = partial(graphed, images)
     return runs
 
 
 def _steps(net: DepthNetwork, rig: CameraRig, batch: int, device: torch.device) -> dict[str, Run]:
-    """Forward and backward pass, in float32 and in bfloat16."""
-    net = net.to(device).train()
+    """Forward and backward pass without the optimiser, in float32 and in bfloat16."""
     images, tables = random_images(net.level, device, batch), net.tables(rig)
 
     def step() -> None:
@@ -152,33 +105,3 @@ def _steps(net: DepthNetwork, rig: CameraRig, batch: int, device: torch.device) 
         net.zero_grad()
 
     return {"float32": step, "bfloat16": torch.autocast(device.type, torch.bfloat16)(step)}
-
-
-def _training(device: torch.device) -> Run:
-    """A step of the training of the default network in bfloat16, with samples that processes render beside it."""
-    run = instantiate_run(compose("train", [*TRAINING, f"data.batch_size={BATCH}"]), Path("training"))
-    module, data = run.module.to(device).train(), run.data
-    module.log = lambda *names, **options: None  # there is no trainer to log to
-    optimizer = module.configure_optimizers()["optimizer"]
-    batches = iter(data.train_dataloader())
-
-    def step() -> None:
-        batch = data.transfer_batch_to_device(next(batches), device, 0)
-        optimizer.zero_grad()
-        with torch.autocast(device.type, torch.bfloat16):
-            loss = module.training_step(batch, 0)
-        loss.backward()
-        optimizer.step()
-
-    return step
-
-
-def _memory(network: Callable[[], DepthNetwork], rig: CameraRig, device: torch.device) -> float:
-    """MB that a forward pass adds to network, images and tables."""
-    net = network().to(device).eval()
-    run = partial(net, random_images(net.level, device), net.tables(rig))
-    return added_memory(torch.inference_mode()(run), device)
-
-
-def _answer(predictor: Predictor, images: dict[str, Tensor]) -> Tensor:
-    return predictor(images).index.cpu()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measuring fairly: what is compared runs in turns, in one process, so that a busy machine slows all alike; tables."""
+"""Fair measuring: all ways to do the same work run in turns, in one process, so that a busy machine slows all alike."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.benchmark import timer
+from torch.utils.benchmark import timer  # waits for a GPU
 
 from sphericalvision.core import MissingCompilerError, check_choice
 from sphericalvision.crown import HexConv2d
@@ -31,23 +31,10 @@ from sphericalvision.recipes.evaluation.records import write_json
 from sphericalvision.recipes.evaluation.tables import Table
 from sphericalvision.threads import thread_policy
 
-__all__ = [
-    "OURS",
-    "Comparison",
-    "Measurement",
-    "Run",
-    "added_memory",
-    "comparison_table",
-    "machine",
-    "measure",
-    "prepare_operators",
-    "random_images",
-    "save_measurements",
-    "ways",
-]
+__all__ = ["OURS", "Comparison", "Measurement", "Run", "added_memory", "measure", "random_images", "ways"]
 
 OURS = "sphericalvision"
-FEWEST_ROUNDS, MOST_ROUNDS = 3, 50
+MIN_ROUNDS, MAX_ROUNDS = 3, 50
 
 Run = Callable[[], Any]
 
@@ -56,10 +43,10 @@ class Comparison(NamedTuple):
     """Functions that do the same work.
 
     Attributes:
-        title: what the work is.
+        title: the work.
         runs: name -> function without arguments; ratios refer to the first.
         note: a line below the table.
-        unit: "s": functions are timed; any other: they return what was measured, and run once.
+        unit: "s": functions are timed; any other: they return a measured number, and run once.
     """
 
     title: str
@@ -69,15 +56,15 @@ class Comparison(NamedTuple):
 
 
 class Measurement(NamedTuple):
-    """What came out for one function.
+    """The result for one function.
 
     Attributes:
-        title: the work that it does.
+        title: its work.
         name: of the function.
         median: over all rounds, in the comparison's unit.
-        spread: half the distance between the quartiles, as a share of the median.
+        spread: half the distance between the quartiles, relative to the median.
         ratio: how often this fits into the first function's: above 1 is faster, or smaller.
-        cpu: seconds of all threads together, which other processes hardly change; 0 of what is not timed.
+        cpu: seconds of all threads together, which other processes hardly change; 0 if it was not timed.
         unit: of the median.
         note: of the comparison.
     """
@@ -92,43 +79,46 @@ class Measurement(NamedTuple):
     note: str
 
 
-def measure(comparison: Comparison, seconds: float = 2.0) -> list[Measurement]:
-    """Run all functions in turns until one has had ``seconds`` (three rounds at least), after one to warm up.
+def measure(comparison: Comparison, seconds: float = 2.0, min_rounds: int = MIN_ROUNDS) -> list[Measurement]:
+    """Run all functions in turns until one has had ``seconds`` (some rounds at least), after one round to warm up.
 
     Ratios are medians over rounds, so that both sides of a ratio have met the same state of the machine.
     """
     title, runs, note, unit = comparison
+    if unit != "s":
+        values = {name: float(run()) for name, run in runs.items()}
+        first = next(iter(values.values()))
+        # no memory at all is as good as none
+        ratios = {
+            name: first / value if value else float("inf" if first else 1) for name, value in values.items()
+        }
+        return [
+            Measurement(title, name, value, 0.0, ratios[name], 0.0, unit, note)
+            for name, value in values.items()
+        ]
+    for run in runs.values():
+        run()
     rounds: list[list[tuple[float, float]]] = []
-    if unit == "s":
-        for run in runs.values():
-            run()
-        while len(rounds) < FEWEST_ROUNDS or (
-            len(rounds) < MOST_ROUNDS and np.sum(rounds, 0)[:, 0].max() < seconds
-        ):
-            rounds.append([_time(run) for run in runs.values()])
-    else:
-        rounds.append([(float(run()), 0.0) for run in runs.values()])
+    while len(rounds) < min_rounds or (len(rounds) < MAX_ROUNDS and np.sum(rounds, 0)[:, 0].max() < seconds):
+        rounds.append([_time(run) for run in runs.values()])
     walls, cpus = np.moveaxis(np.array(rounds), 2, 0)
     low, median, high = np.quantile(walls, (0.25, 0.5, 0.75), axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):  # nothing at all is as good as nothing at all
-        ratios = np.nan_to_num(walls[:, :1] / walls, nan=1.0, posinf=np.inf)
-        spread = np.nan_to_num((high - low) / 2 / median)
-    columns = (column.tolist() for column in (median, spread, np.median(ratios, 0), np.median(cpus, 0)))
+    columns = (median, (high - low) / 2 / median, np.median(walls[:, :1] / walls, 0), np.median(cpus, 0))
     return [
-        Measurement(title, name, middle, half, ratio, cpu, unit, note)
-        for name, middle, half, ratio, cpu in zip(runs, *columns, strict=True)
+        Measurement(title, name, *numbers, unit, note)
+        for name, *numbers in zip(runs, *(column.tolist() for column in columns), strict=True)
     ]
 
 
 def _time(run: Run) -> tuple[float, float]:
-    """Seconds of one call on the clock, which waits for a GPU, and of the CPU."""
+    """Seconds of one call on the clock and of the CPU."""
     wall, cpu = timer(), time.process_time()
     run()
     return timer() - wall, time.process_time() - cpu
 
 
 def ways(run: Run, options: Sequence[str], device: torch.device, inference: bool = True) -> dict[str, Run]:
-    """A run by the readable formulas ("plain"), as it is usually done, and in further ways.
+    """A run by the readable formulas ("plain"), by the default kernels, and in further ways.
 
     ``"layers"``: by layers in torch alone, as without a C++ compiler; ``"bf16"``: in bfloat16 where that pays.
 
@@ -147,7 +137,7 @@ def ways(run: Run, options: Sequence[str], device: torch.device, inference: bool
 
 
 def prepare_operators(device: torch.device) -> None:
-    """Wait for the operators in C++, so that they are used from the first call on; say so where they cannot be had."""
+    """Wait for the operators in C++, so that they are used from the first call on; report a missing compiler."""
     if device.type != "cpu":
         return
     try:
@@ -163,10 +153,10 @@ def random_images(level: int, device: torch.device, batch: int = 1) -> Tensor:
 
 
 def added_memory(run: Run, device: torch.device) -> float:
-    """MB by which a run raises what is in use above what is held before: the median of three.
+    """MB by which a run raises the memory in use: the median of three.
 
     Raises:
-        AttributeError, OSError: the system does not tell; Linux does.
+        AttributeError, OSError: the system is not Linux.
     """
     return statistics.median(_added_memory(run, device) for _ in range(3))
 
@@ -174,29 +164,24 @@ def added_memory(run: Run, device: torch.device) -> float:
 def _added_memory(run: Run, device: torch.device) -> float:
     if device.type == "cuda":
         torch.cuda.reset_peak_memory_stats(device)
-        held = torch.cuda.memory_allocated(device)
+        before = torch.cuda.memory_allocated(device)
         run()
-        return (torch.cuda.max_memory_allocated(device) - held) / 1e6
-    ctypes.CDLL(None).malloc_trim(0)  # what was freed is given back, and counts when it is taken again
+        return (torch.cuda.max_memory_allocated(device) - before) / 1e6
+    ctypes.CDLL(None).malloc_trim(0)  # freed memory is given back, and counts when it is allocated again
     Path("/proc/self/clear_refs").write_text("5")  # a new high-water mark
-    before = _resident("VmRSS")
+    resident = _status("VmRSS")
     run()
-    return max(0.0, _resident("VmHWM") - before)
+    return max(0.0, _status("VmHWM") - resident)
 
 
-def _resident(field: str) -> float:
-    """MB of memory in use (``VmRSS``) or at most so far (``VmHWM``)."""
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return next(float(line.split()[1]) for line in lines if line.startswith(field)) * 1024 / 1e6
+def _status(field: str) -> float:
+    """MB of memory in use (``VmRSS``), or its high-water mark (``VmHWM``)."""
+    text = Path("/proc/self/status").read_text()
+    return float(re.findall(rf"^{field}:\s+(\d+)", text, re.MULTILINE)[0]) * 1024 / 1e6
 
 
-def machine(device: torch.device | str = "cpu") -> dict[str, str]:
-    """The machine, the software and the commit of the source tree in words, as far as the system tells.
-
-    Examples:
-        >>> sorted(machine())
-        ['commit', 'cores', 'device', 'processor', 'python', 'threads', 'torch']
-    """
+def machine(device: torch.device) -> dict[str, str]:
+    """The machine, the software and the commit of the source tree, as far as the system tells."""
     processor, commit = platform.processor() or platform.machine(), ""
     with suppress(OSError):
         processor = re.findall(r"model name\s*: (.+)", Path("/proc/cpuinfo").read_text())[0]
@@ -204,7 +189,7 @@ def machine(device: torch.device | str = "cpu") -> dict[str, str]:
         command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
         commit = subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
     return {
-        "device": torch.cuda.get_device_name(device) if torch.device(device).type == "cuda" else "CPU",
+        "device": torch.cuda.get_device_name(device) if device.type == "cuda" else "CPU",
         "processor": f"{processor}, {torch.backends.cpu.get_cpu_capability()}",
         "cores": str(os.cpu_count()),
         "threads": f"{torch.get_num_threads()} ({thread_policy()})",
@@ -216,21 +201,30 @@ def machine(device: torch.device | str = "cpu") -> dict[str, str]:
 
 def comparison_table(rows: Sequence[Measurement]) -> Table:
     """The measurements of one comparison; "a second" is how often the work is done in one."""
-    columns = ["", "median", "±", "ratio", "CPU", "a second"]
-    cells = [[row.name, _amount(row.median, row.unit), "", f"{row.ratio:.2f}", "", ""] for row in rows]
-    for row, line in zip(rows, cells, strict=True):
-        if row.unit == "s":
-            line[2], line[4:] = f"{row.spread:.0%}", [_amount(row.cpu, "s"), f"{1 / row.median:.3g}"]
-    return Table(rows[0].title, columns, [cells])
+    cells = []
+    for row in rows:
+        timed = row.unit == "s"
+        cells.append(
+            [
+                *(
+                    row.name,
+                    _amount(row.median, row.unit),
+                    f"{row.spread:.0%}" if timed else "",
+                    f"{row.ratio:.2f}",
+                ),
+                *((_amount(row.cpu, "s"), f"{1 / row.median:.3g}") if timed else ("", "")),
+            ]
+        )
+    return Table(rows[0].title, ["", "median", "±", "ratio", "CPU", "a second"], cells)
 
 
 def save_measurements(folder: Path, rows: Sequence[Measurement], facts: Mapping[str, str]) -> list[Path]:
     """Write all comparisons as ``speed.md`` and ``speed.json``."""
-    parts = [", ".join(f"{key} {value}" for key, value in facts.items() if value) + "\n"]
+    text = [", ".join(f"{key} {value}" for key, value in facts.items() if value) + "\n"]
     for title, group in groupby(rows, lambda row: row.title):
         own = list(group)
-        parts += [f"### {title}\n", comparison_table(own)._replace(title=own[0].note).markdown()]
-    write_bytes(folder / "speed.md", "\n".join(parts).encode())
+        text += [f"### {title}\n", comparison_table(own)._replace(title=own[0].note).markdown()]
+    write_bytes(folder / "speed.md", "\n".join(text).encode())
     write_json(folder / "speed.json", {"machine": dict(facts), "rows": [row._asdict() for row in rows]})
     return [folder / "speed.md", folder / "speed.json"]
 

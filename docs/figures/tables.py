@@ -1,48 +1,62 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Charts of the tables in the pages: a number stands in its table alone."""
+"""Tables and charts of results: files of ``docs/data`` as the commands wrote them."""
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 from figures import CHARTS, FAINT, INK, MARK, new_figure, to_html
+from sphericalvision.recipes.evaluation.tables import Cell, Table
 
 PAGES = Path(__file__).parents[1]
+SHOWN = ("MAE at level 4", "Against tilt", "Of the surest points")
+"""Tables of the benchmark that its page has in the open."""
 CLOSE = 1.3
 """Ratio of two times whose names would overlap."""
 TICKS = (0.1, 0.2, 0.5, 1, 2, 5, 10)
 """CPU seconds."""
 
 
-def table(page: str, heading: str) -> tuple[list[str], dict[str, list[float]]]:
-    """The first table after ``heading``: its head, and each row's numbers by its name; brackets are left out."""
-    text = (PAGES / page).read_text().partition(heading)[2]
-    rows = []
-    for line in text.splitlines():
-        if line.startswith("|"):
-            rows.append([cell.strip() for cell in line.strip("| ").split("|")])
-        elif rows:
-            break
-    return rows[0][1:], {row[0].strip("`"): numbers(row[1:]) for row in rows[2:]}
+def read(name: str) -> dict[str, Any]:
+    """The content of a file of ``docs/data``."""
+    return json.loads((PAGES / "data" / f"{name}.json").read_text())
 
 
-def numbers(cells: list[str]) -> list[float]:
-    """The number with which each cell begins."""
-    found = (re.match(r"\**([\d.]+)", cell) for cell in cells)
-    return [float(number[1]) if number else float("nan") for number in found]
+def markdown(name: str, heading: str) -> str:
+    """A table of ``tables.json`` of the benchmark or a study, its title above it."""
+    table = Table.of(read(name)[heading])
+    return f"{table.title}\n\n{table._replace(title='').markdown()}"
+
+
+def rest_of_benchmark() -> str:
+    """The tables that are folded away."""
+    tables = {
+        k: Table.of(v) for k, v in read("benchmark").items() if k not in SHOWN
+    }
+    return "\n".join(
+        f"<details><summary>{heading}</summary>\n{table.html()}</details>"
+        for heading, table in tables.items()
+    )
 
 
 def benchmark() -> str:
     """Mean errors of all methods on clean images, with all disturbances, and outdoors."""
-    methods, rows = table("depth-benchmark.md", "### MAE at level 4")
+    table = Table.of(read("benchmark")["MAE at level 4"])
+    methods, rows = table.columns[1:], {row[0]: row[1:] for row in table.rows}
     figure = new_figure(4.2, 4.2)
     axes = figure.add_axes((0.34, 0.12, 0.63, 0.86))
     tracks = {"clean": INK, "together": CHARTS[1], "outdoors": CHARTS[2]}
     for number, (track, color) in enumerate(tracks.items()):
-        places = [place + 0.27 * (number - 1) for place in range(len(methods))]
-        axes.barh(places, rows[track], 0.25, color=color, label=track)
+        heights = [height + 0.27 * (number - 1) for height in range(len(methods))]
+        means = [
+            cell.mean if isinstance(cell, Cell) else math.nan
+            for cell in rows[track]
+        ]
+        axes.barh(heights, means, 0.25, color=color, label=track)
     axes.set_yticks(range(len(methods)), methods)
     axes.get_yticklabels()[methods.index("refinedsweepnet")].set_color(MARK)
     axes.invert_yaxis()
@@ -52,27 +66,65 @@ def benchmark() -> str:
     return to_html(
         figure,
         "Bars of the mean error of each method on clean images, with all disturbances together, and outdoors",
-        "Mean error at the vertices of level 4, from the table below. 1 % is about 8 cm at two metres.",
+        "Mean error at the vertices of level 4. 1 % is about 8 cm at two metres.",
     )
+
+
+def preset_rows() -> dict[str, dict[str, float]]:
+    """Preset -> CPU seconds, memory and errors, as ``sphericalvision-speed groups=[presets]`` measured them."""
+    rows: dict[str, dict[str, float]] = {}
+    for row in read("presets")["rows"]:
+        condition = re.search(r", \d+ (.+) scenes", row["title"])
+        column = (
+            condition[1]
+            if condition
+            else {"s": "CPU s", "MB": "memory"}[row["unit"]]
+        )
+        value = row["cpu"] if row["unit"] == "s" else row["median"]
+        rows.setdefault(row["name"], {})[column] = value
+    return rows
+
+
+def preset_table() -> str:
+    """The rows of presets as Markdown."""
+    rows = preset_rows()
+    columns = [
+        "CPU s",
+        "memory",
+        *(k for k in rows["default"] if k not in ("CPU s", "memory")),
+    ]
+    cells = [
+        [
+            f"`{name}`" if name != "default" else name,
+            *(
+                f"{row[c]:.0f} MB" if c == "memory" else f"{row[c]:.2f}"
+                for c in columns
+            ),
+        ]
+        for name, row in rows.items()
+    ]
+    return Table("", ("preset", *columns), cells).markdown()
 
 
 def presets() -> str:
     """Error of each preset against the time of a frame."""
-    head, rows = table("how-do-i.md", "What the time buys")
+    rows = preset_rows()
     figure = new_figure(4.2, 3.0)
     axes = figure.add_axes((0.13, 0.17, 0.84, 0.8))
-    seconds = [row[head.index("CPU s")] for row in rows.values()]
-    for color, column in zip(
-        CHARTS, ("clean", "disturbed", "other worlds"), strict=False
-    ):
-        errors = [row[head.index(column)] for row in rows.values()]
+    seconds = [row["CPU s"] for row in rows.values()]
+    conditions = [key for key in rows["default"] if key not in ("CPU s", "memory")]
+    for color, column in zip(CHARTS, conditions, strict=False):
+        errors = [row[column] for row in rows.values()]
         axes.plot(seconds, errors, "o-", color=color, label=column)
+    worst = {
+        name: max(row[key] for key in conditions) for name, row in rows.items()
+    }
     around = [0.0, *seconds, math.inf]
-    for place, (name, row) in enumerate(rows.items()):
-        before, second, after = around[place : place + 3]
+    for index, name in enumerate(rows):
+        before, second, after = around[index : index + 3]
         axes.annotate(
             name,
-            (second, max(row[2:])),
+            (second, worst[name]),
             (0, 6),
             textcoords="offset points",
             # names of presets that take about as long go apart
@@ -88,7 +140,7 @@ def presets() -> str:
     ticks = [tick for tick in TICKS if tick < 1.5 * max(seconds)]
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
-    axes.set_ylim(0, 1.25 * max(max(row[2:]) for row in rows.values()))
+    axes.set_ylim(0, 1.25 * max(worst.values()))
     axes.grid(color=FAINT, alpha=0.3)
     axes.legend(loc="lower left")
     return to_html(

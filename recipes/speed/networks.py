@@ -18,7 +18,6 @@ from sphericalvision.crown import Crown, CrownConv2d, CrownConv3d, HexConv2d, He
 from sphericalvision.data import ToSphere
 from sphericalvision.icosphere import icosphere_vertices, num_icosphere_vertices
 from sphericalvision.kernels import kernels
-from sphericalvision.kernels import kernels, reference_kernels
 from sphericalvision.models import DepthNetwork, IcoSweepNet, SemiGlobalSweep
 from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.speed.measuring import (

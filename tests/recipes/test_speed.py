@@ -40,8 +40,9 @@ def config(*overrides: str) -> DictConfig:
 
 def measured(folder: Path, *overrides: str) -> list[Measurement]:
     """What one round of the command measures."""
+    keys = config(*overrides)
     with initialize_config_module("sphericalvision.conf", version_base="1.3"):
-        return measure_speed(config(*overrides), folder, min_rounds=1)
+        return measure_speed(keys, folder, min_rounds=1)
 
 
 STAGES = {

@@ -197,9 +197,7 @@ def test_every_command_composes(name: str) -> None:
     assert OmegaConf.is_config(config)
 
 
-@pytest.mark.parametrize(
-    "name", [*(path.stem for path in FILES if path.parent == CONF), "study/_study"]
-)
+@pytest.mark.parametrize("name", [*(path.stem for path in FILES if path.parent == CONF), "study/_study"])
 def test_every_key_of_a_command_has_a_type(name: str) -> None:
     keys = {key for key in OmegaConf.load(CONF / f"{name}.yaml") if key not in ("hydra", "defaults")}
     name = name.partition("/")[0]

@@ -105,8 +105,10 @@ def measure(comparison: Comparison, seconds: float = 2.0, min_rounds: int = MIN_
     low, median, high = np.quantile(walls, (0.25, 0.5, 0.75), axis=0)
     columns = (median, (high - low) / 2 / median, np.median(walls[:, :1] / walls, 0), np.median(cpus, 0))
     return [
-        Measurement(title, name, *numbers, unit, note)
-        for name, *numbers in zip(runs, *(column.tolist() for column in columns), strict=True)
+        Measurement(title, name, center, spread, ratio, cpu, unit, note)
+        for name, center, spread, ratio, cpu in zip(
+            runs, *(column.tolist() for column in columns), strict=True
+        )
     ]
 
 

@@ -68,8 +68,8 @@ class EvaluateKeys(TypedDict, total=False):
     seed: Number
 
 
-FOUND = ("auto", "scene")
-"""``model.min_depth``: found in each frame, as ``Predictor`` finds it."""
+SEARCHED = ("auto", "scene")
+"""Values of ``model.min_depth`` that ``Predictor`` searches in each frame."""
 
 
 class Evaluation(NamedTuple):
@@ -81,7 +81,7 @@ class Evaluation(NamedTuple):
     """Nearest hypothesis in metres that the network is used with; errors are in hypotheses from ``net.min_depth``."""
     preparation: Preparation
     as_used: bool
-    """Whether the images of the cameras are wanted, as more is done to them than to look them up."""
+    """Whether camera images are needed, as they are preprocessed."""
 
 
 def instantiate_evaluation(config: DictConfig) -> Evaluation:
@@ -92,12 +92,12 @@ def instantiate_evaluation(config: DictConfig) -> Evaluation:
     """
     level = config.model.level
     net = read_network(config.checkpoint)
-    near = config.model.min_depth
+    min_depth = config.model.min_depth
     search: Literal["auto", "scene"] | None = None
-    if isinstance(near, str):
-        check_choice("model.min_depth", near, FOUND)
-        search, near = near, None  # type: ignore[assignment]
-    net = net.with_changes(level=level if net.images == "sphere" else None, min_depth=near)
+    if isinstance(min_depth, str):
+        check_choice("model.min_depth", min_depth, SEARCHED)
+        search, min_depth = min_depth, None  # type: ignore[assignment]
+    net = net.with_changes(level=level if net.images == "sphere" else None, min_depth=min_depth)
     OmegaConf.update(config, "model.level", net.level if net.images == "sphere" else level or 5)
     OmegaConf.update(config, "model.min_depth", net.min_depth)
     data: SampleDataModule = build(config.data, "data")
@@ -112,8 +112,8 @@ def instantiate_evaluation(config: DictConfig) -> Evaluation:
     data.bind_network(net, *more, depth_level=config.model.level - 2)
     if as_used and not (isinstance(data, DepthDataModule) and data.view.images):
         raise ArgumentError(
-            f"data: the group preparation, masks and model.min_depth=auto or scene want the images of the cameras (the "
-            f"entry 'fisheye'), which samples of {type(data).__name__} do not hold; take other data, or leave them out"
+            f"data: preparation, masks and model.min_depth=auto or scene need camera images (the entry 'fisheye'), "
+            f"which samples of {type(data).__name__} do not hold; take other data, or leave them out"
         )
     device = choose_device(config.device)
     return Evaluation(net.to(device), data, search or net.min_depth, preparation, as_used)
@@ -148,9 +148,7 @@ def evaluate_checkpoint(config: Annotated[DictConfig, EvaluateKeys], folder: Pat
     methods += [_compared_method(word, config.model.level, scale) for word in config.methods]
     check_names(methods)
     if len(methods) > 1 and (evaluation.as_used or config.min_confidence > 0):
-        print(
-            f"other methods see the images as they are, everywhere; the options of use are those of {name} alone"
-        )
+        print(f"Note: masks, preparation, min_depth and min_confidence apply to {name} alone")
     nothing = torch.zeros(1, *net.grid.shape, device=net.device)
     within = net.index_at(nothing, Icosphere(level, device=net.device).vertices)[1]
     published = getattr(data, "published", None)
@@ -160,7 +158,7 @@ def evaluate_checkpoint(config: Annotated[DictConfig, EvaluateKeys], folder: Pat
     records = evaluate(methods, samples, measure)
     if records[name].means["points"]["kept"] == 0:
         raise ArgumentError(
-            f"min_confidence: {name} is nowhere as confident as {config.min_confidence:g}; set less"
+            f"min_confidence={config.min_confidence:g}: {name} is less confident at all points; set less"
         )
     table = save_errors(
         folder / "metrics",
@@ -187,7 +185,7 @@ def _compared_method(word: str, level: int, scale: Scale) -> Method:
     method = make_method(word, level, scale)
     if method.net.images != "sphere":
         raise ArgumentError(
-            f"methods: {word} takes no images on the icosphere; evaluate it by itself, with checkpoint={word}"
+            f"methods: {word} needs camera images, so it cannot be compared here; evaluate it by checkpoint={word}"
         )
     return Method(method.name, method.net.with_changes(level=level))
 
@@ -202,6 +200,6 @@ def _masks(batches: Iterable[dict[str, Any]]) -> Mapping[str, Tensor]:
     rig = frames[0][0]
     if any(rig_fingerprint(other) != rig_fingerprint(rig) for other, _ in frames):
         raise ArgumentError(
-            "masks: auto finds a body that stands still in the frames of one rig, and these have several"
+            "masks: auto masks what stands still in the frames of one rig, and these have several"
         )
     return with_own_body_masked(rig, (images for _, images in frames)).masks

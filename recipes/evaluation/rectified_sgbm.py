@@ -121,5 +121,5 @@ def _filled(values: Tensor, valid: Tensor) -> Tensor:
     from scipy.ndimage import distance_transform_edt  # half a second that other methods do not pay
 
     rows, columns = distance_transform_edt(~around.numpy(), return_distances=False, return_indices=True)
-    middle = slice(width, 2 * width)
-    return values[torch.from_numpy(rows[:, middle]), torch.from_numpy(columns[:, middle] % width)]
+    center = slice(width, 2 * width)
+    return values[torch.from_numpy(rows[:, center]), torch.from_numpy(columns[:, center] % width)]

@@ -66,7 +66,7 @@ def study_tables(results: Results, config: DictConfig, views: list[View]) -> dic
     * ``details``: the other protocols.
     """
     angles = fisheye_sets(views)
-    shares = [
+    left_out = [
         f"{results.means(results.labels[0], 'points left_out', name)[0]:.1f} % at {angle}"
         for angle, name in angles.items()
     ]
@@ -80,7 +80,7 @@ def study_tables(results: Results, config: DictConfig, views: list[View]) -> dic
     level = {view.inputs: view.name for view in views if view.angle_deg == 0}
     tables = {
         "table": results.by_set(
-            f"Percent of {number}; {about}. Left out, as fewer cameras see it: {', '.join(shares)}.",
+            f"Percent of {number}; {about}. Left out, as fewer cameras see it: {', '.join(left_out)}.",
             "θ",
             angles,
             PAPER,

@@ -68,11 +68,11 @@ def depth_index_huber(
             raise ShapeError(
                 f"weights: expected shape {tuple(pred_index.shape[1:])}, got {tuple(weights.shape)}"
             )
-        shares = weights.to(losses).expand_as(losses)
+        point_weights = weights.to(losses).expand_as(losses)
     else:
-        shares = torch.ones_like(losses)
-    shares = shares if mask is None else shares.where(mask, 0.0)
-    return mean_of_samples(losses, shares)
+        point_weights = torch.ones_like(losses)
+    point_weights = point_weights if mask is None else point_weights.where(mask, 0.0)
+    return mean_of_samples(losses, point_weights)
 
 
 def mean_of_samples(
@@ -84,8 +84,8 @@ def mean_of_samples(
         >>> mean_of_samples(torch.tensor([[1.0, 3.0], [5.0, 7.0]]), torch.tensor([[1.0, 1.0], [0.0, 2.0]]))
         tensor(4.5000)
     """
-    shares = weights.to(values).flatten(1)
-    return _ratio((values.flatten(1) * shares).sum(1), shares.sum(1)).mean()
+    point_weights = weights.to(values).flatten(1)
+    return _ratio((values.flatten(1) * point_weights).sum(1), point_weights.sum(1)).mean()
 
 
 def solid_angle_mean(
@@ -127,7 +127,7 @@ def solid_angle_mean(
     if values.ndim < dims or values.shape[values.ndim - dims :] != solid_angles.shape:
         size = ", ".join(map(str, solid_angles.shape))
         raise ShapeError(f"values: expected shape (*, {size}) as the solid angles, got {tuple(values.shape)}")
-    shares = solid_angles.to(values).expand_as(values)
+    point_weights = solid_angles.to(values).expand_as(values)
     if mask is not None:
         try:
             counts = mask.bool().expand_as(values)
@@ -135,9 +135,9 @@ def solid_angle_mean(
             raise ShapeError(
                 f"mask: expected a shape that broadcasts to {tuple(values.shape)}, got {tuple(mask.shape)}"
             ) from None
-        shares, values = shares.where(counts, 0.0), values.where(counts, 0.0)
+        point_weights, values = point_weights.where(counts, 0.0), values.where(counts, 0.0)
     grid = tuple(range(-dims, 0))
-    return _ratio((values * shares).sum(grid), shares.sum(grid))
+    return _ratio((values * point_weights).sum(grid), point_weights.sum(grid))
 
 
 def _ratio(total: Tensor, weight: Tensor) -> Tensor:

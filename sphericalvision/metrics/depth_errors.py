@@ -8,7 +8,7 @@ from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.metrics.images import MeanOverImages, absolute_error, shares_of_points, weighted_mean
+from sphericalvision.metrics.images import MeanOverImages, absolute_error, point_weights, weighted_mean
 
 __all__ = ["DepthError", "DepthIndexError", "depth_error", "depth_index_error"]
 
@@ -52,10 +52,15 @@ def depth_index_error(
     """
     if num_hypotheses < 1:
         raise ArgumentError(f"num_hypotheses: expected a positive number, got {num_hypotheses!r}")
-    shares = shares_of_points(pred_index, target_index, mask, weights)
+    fractions = point_weights(pred_index, target_index, mask, weights)
     error = absolute_error(pred_index, target_index) * (100 / num_hypotheses)
-    above = {f">{threshold}": weighted_mean(100.0 * (error > threshold), shares) for threshold in (1, 3, 5)}
-    return above | {"MAE": weighted_mean(error, shares), "RMS": weighted_mean(error.square(), shares).sqrt()}
+    above = {
+        f">{threshold}": weighted_mean(100.0 * (error > threshold), fractions) for threshold in (1, 3, 5)
+    }
+    return above | {
+        "MAE": weighted_mean(error, fractions),
+        "RMS": weighted_mean(error.square(), fractions).sqrt(),
+    }
 
 
 def depth_error(
@@ -97,17 +102,17 @@ def depth_error(
     if not max_depth > 0:
         raise ArgumentError(f"max_depth: expected a positive number of metres, got {max_depth!r}")
     in_range = (target_depth > 0) & (target_depth <= max_depth)
-    shares = shares_of_points(
+    fractions = point_weights(
         pred_depth, target_depth, in_range if mask is None else in_range & mask.bool(), weights
     )
-    pred = pred_depth.clamp(max=max_depth).to(shares.dtype)
-    target = target_depth.to(shares.dtype)
+    pred = pred_depth.clamp(max=max_depth).to(fractions.dtype)
+    target = target_depth.to(fractions.dtype)
     error = absolute_error(pred, target)
     right = (pred > 0) & (torch.maximum(pred / target, target / pred) < 1.25)
     return {
-        "AbsRel": weighted_mean(error / target, shares),
-        "RMSE": weighted_mean(error.square(), shares).sqrt(),
-        "d<1.25": weighted_mean(right.to(shares.dtype), shares),
+        "AbsRel": weighted_mean(error / target, fractions),
+        "RMSE": weighted_mean(error.square(), fractions).sqrt(),
+        "d<1.25": weighted_mean(right.to(fractions.dtype), fractions),
     }
 
 

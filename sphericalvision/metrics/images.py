@@ -13,10 +13,10 @@ from torchmetrics import Metric
 from sphericalvision.core import ArgumentError, ShapeError, check_tensor
 from sphericalvision.geometry.directions import holds
 
-__all__ = ["MeanOverImages", "absolute_error", "shares_of_points", "weighted_mean"]
+__all__ = ["MeanOverImages", "absolute_error", "point_weights", "weighted_mean"]
 
 
-def shares_of_points(
+def point_weights(
     pred: Shaped[Tensor, "B V"],
     target: Shaped[Tensor, "B V"],
     mask: Shaped[Tensor, "B V"] | None,
@@ -40,16 +40,16 @@ def shares_of_points(
             raise ShapeError(
                 f"{name}: expected the shape of the prediction {tuple(pred.shape)}, got {tuple(tensor.shape)}"
             )
-    shares = torch.ones(pred.shape, dtype=torch.float64, device=pred.device)
+    fractions = torch.ones(pred.shape, dtype=torch.float64, device=pred.device)
     if weights is not None:
         if weights.shape not in (pred.shape, pred.shape[1:]):
             raise ShapeError(f"weights: expected shape ({pred.shape[1]},), got {tuple(weights.shape)}")
-        shares = shares * weights
+        fractions = fractions * weights
     counts = target.isfinite() if mask is None else mask.bool() & target.isfinite()
-    shares = shares.masked_fill(~counts, 0)
-    if weights is not None and not holds(shares.isfinite() & (shares >= 0)):
+    fractions = fractions.masked_fill(~counts, 0)
+    if weights is not None and not holds(fractions.isfinite() & (fractions >= 0)):
         raise ArgumentError("weights: expected finite numbers, 0 or more, wherever the truth counts")
-    return shares / shares.sum(1, keepdim=True)
+    return fractions / fractions.sum(1, keepdim=True)
 
 
 def absolute_error(pred: Shaped[Tensor, "B V"], target: Shaped[Tensor, "B V"]) -> Float[Tensor, "B V"]:
@@ -57,9 +57,9 @@ def absolute_error(pred: Shaped[Tensor, "B V"], target: Shaped[Tensor, "B V"]) -
     return (pred.double() - target.double()).abs().nan_to_num(nan=torch.inf, posinf=torch.inf)
 
 
-def weighted_mean(values: Shaped[Tensor, "B V"], shares: Float[Tensor, "B V"]) -> Float[Tensor, " B"]:
+def weighted_mean(values: Shaped[Tensor, "B V"], fractions: Float[Tensor, "B V"]) -> Float[Tensor, " B"]:
     """Return the weighted mean ``(B,)``; values without weight are ignored, NaN included."""
-    return torch.where(shares == 0, 0.0, values * shares).sum(1)
+    return torch.where(fractions == 0, 0.0, values * fractions).sum(1)
 
 
 class MeanOverImages(Metric):

@@ -7,7 +7,7 @@ from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.metrics.images import MeanOverImages, absolute_error, shares_of_points, weighted_mean
+from sphericalvision.metrics.images import MeanOverImages, absolute_error, point_weights, weighted_mean
 
 __all__ = ["LeftRightError", "StereoError", "left_right_error", "stereo_error"]
 
@@ -45,12 +45,12 @@ def stereo_error(
         {'MAE': 0.5, 'RMSE': 0.707, 'MARE': 0.5}
     """
     counts = target > 0 if mask is None else mask.bool() & (target > 0)
-    shares = shares_of_points(pred, target, counts, weights)
+    fractions = point_weights(pred, target, counts, weights)
     error = absolute_error(pred, target)
     return {
-        "MAE": weighted_mean(error, shares),
-        "RMSE": weighted_mean(error.square(), shares).sqrt(),
-        "MARE": weighted_mean(error / target, shares),
+        "MAE": weighted_mean(error, fractions),
+        "RMSE": weighted_mean(error.square(), fractions).sqrt(),
+        "MARE": weighted_mean(error / target, fractions),
     }
 
 
@@ -87,8 +87,8 @@ def left_right_error(
         )
     counts = target > 0 if mask is None else mask.bool() & (target > 0)
     steps = [values.double()[..., 0] - values.double()[..., -1] for values in (target, pred)]
-    shares = shares_of_points(steps[1], steps[0], counts[..., 0] & counts[..., -1], None)
-    return {"LRCE": weighted_mean(absolute_error(steps[1], steps[0]), shares)}
+    fractions = point_weights(steps[1], steps[0], counts[..., 0] & counts[..., -1], None)
+    return {"LRCE": weighted_mean(absolute_error(steps[1], steps[0]), fractions)}
 
 
 class StereoError(MeanOverImages):

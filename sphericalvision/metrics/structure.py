@@ -86,11 +86,13 @@ def _off_plane(index: Tensor, rings: Tensor) -> Tensor:
     """Largest residual ``(*, V)`` within rings of a linear function of the direction that fits best."""
     level = level_from_num_vertices(index.shape[-1])
     valid = (rings >= 0).to(torch.float64)[..., None]
-    places = icosphere_vertices(level, torch.float64, index.device)[rings.clamp(min=0)] * valid
+    vertices = icosphere_vertices(level, torch.float64, index.device)[rings.clamp(min=0)] * valid
     values = index.double()[..., rings.clamp(min=0)] * valid[..., 0]
-    normal = places.mT @ places  # (V, 3, 3), well away from singular: directions are unit vectors that differ
-    slope = torch.linalg.solve(normal, (places.mT @ values[..., None]))
-    return (values - (places @ slope)[..., 0]).abs().amax(-1).to(index.dtype)
+    normal = (
+        vertices.mT @ vertices
+    )  # (V, 3, 3), well away from singular: directions are unit vectors that differ
+    slope = torch.linalg.solve(normal, (vertices.mT @ values[..., None]))
+    return (values - (vertices @ slope)[..., 0]).abs().amax(-1).to(index.dtype)
 
 
 @lru_cache(maxsize=4)

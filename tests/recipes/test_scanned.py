@@ -269,9 +269,7 @@ def test_a_scanner_has_one_pose(tmp_path: Path) -> None:
     path = tmp_path / "lidar.txt"
     assert len(own_scans(tmp_path, lidar_pose=str(path)).frames("test", 32, dict)) == 1
     path.write_text(2 * path.read_text())
-    with pytest.raises(
-        ArgumentError, match=r"data.lidar_pose: expected one pose, .* in 2 line\(s\) of .*lidar.txt"
-    ):
+    with pytest.raises(ArgumentError, match=r"data.lidar_pose: expected one pose, .*got 2 in .*lidar.txt"):
         own_scans(tmp_path, lidar_pose=str(path)).frames("test", 32, dict)
 
 

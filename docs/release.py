@@ -3,8 +3,7 @@
 
 ``make dist`` builds from FOLDER. A package index shows the README, but has none of the files that it links to. With the
 URL of a repository, such as https://github.com/you/sphericalvision, links lead to that repository, at the tag of the
-version, and [project.urls] names it. Without a URL only the words of such links are left, and pictures go with what is
-said below them.
+version, and [project.urls] names it. Without a URL only the words of such links are left, and pictures go.
 """
 
 from __future__ import annotations
@@ -18,10 +17,8 @@ from pathlib import Path
 __all__ = ["readme_for_index", "with_urls"]
 
 ROOT = Path(__file__).resolve().parents[1]
-PICTURE = re.compile(
-    r"^!\[[^\]]*\]\((?!https?:)[^)]*\)\n(?:.+\n)*\n?", re.MULTILINE
-)
-"""A picture with the lines below it."""
+PICTURE = re.compile(r"^<picture>\n.*?</picture>\n\n?", re.MULTILINE | re.DOTALL)
+"""A picture in the text."""
 RELATIVE = re.compile(
     r"(?P<image>!?)\[(?P<text>[^\]]*)\]\((?!https?:|mailto:|#)(?P<path>[^)\s]+)\)"
 )
@@ -37,6 +34,7 @@ def readme_for_index(text: str, version: str, url: str | None = None) -> str:
         kind = "raw" if match["image"] else "blob"
         return f"{match['image']}[{match['text']}]({url}/{kind}/v{version}/{match['path']})"
 
+    text = re.sub(r'(src|srcset)="(?!https?:)', rf'\1="{url}/raw/v{version}/', text)
     return RELATIVE.sub(link, text)
 
 

@@ -138,11 +138,6 @@ def uses_reference_kernels() -> bool:
     return kernel_mode() == "reference"
 
 
-def use_triton(*tensors: torch.Tensor, differentiable: bool = False) -> bool:
-    """Whether kernels in Triton compute what is made of tensors, which may be ``differentiable``."""
-    return "triton" in _kinds(list(tensors), differentiable)
-
-
 @cache
 def runs_triton(device: torch.device) -> bool:
     """Whether kernels in Triton run on a device: on NVIDIA's from Volta on, with Triton and a C compiler at hand.

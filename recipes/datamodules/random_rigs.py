@@ -97,7 +97,7 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
             network's own level.
         clues: weights of a prior. What sweep and prior say of the samples of ``levels`` is computed once, and kept in
             ``cache_dir``, for a training in which the prior does not learn.
-        cache_gb: largest size of what is kept of the samples of ``levels``.
+        cache_gb: largest size of the training samples that are kept.
 
     References:
         WMGStereo (2025), "What makes good synthetic training data for zero-shot stereo matching?", for diversity
@@ -208,7 +208,7 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
         Raises:
             ArgumentError: it would be larger than ``cache_gb``, or than the disk.
         """
-        if self.cache_dir is not None and self.levels is not None:
+        if self.cache_dir is not None:
             folder = Path(self.cache_dir)
             folder.mkdir(parents=True, exist_ok=True)
             self._check_space(folder)
@@ -217,17 +217,16 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
     def _check_space(self, folder: Path) -> None:
         """Compare the size of all samples with what they may take, and that of the missing ones with the disk."""
         size = self.cache_bytes
-        fewer = "set fewer samples in data.levels"
+        fewer = f"set fewer samples ({'data.num_train' if self.levels is None else 'data.levels'})"
         if size > self.cache_gb * 1e9:
             raise ArgumentError(
-                f"data.cache_gb: the samples of data.levels take up to {size / 1e9:.1f} GB, more than "
+                f"data.cache_gb: the training samples take up to {size / 1e9:.1f} GB, more than "
                 f"{self.cache_gb:g}; set data.cache_gb={math.ceil(size / 1e9)}, or {fewer}"
             )
-        samples = self.plain("train")
-        assert isinstance(samples, SamplesOfLevels)
-        of_level = samples.of_level.values()
-        missing = sum(not each.is_cached(index) for each in of_level for index in range(len(each)))
-        missing_size = size * missing / sum(map(len, of_level))
+        samples: Any = self.plain("train")
+        sets = samples.of_level.values() if isinstance(samples, SamplesOfLevels) else [samples]
+        missing = sum(not each.is_cached(index) for each in sets for index in range(len(each)))
+        missing_size = size * missing / sum(map(len, sets))
         free = shutil.disk_usage(folder).free
         if missing_size > free:
             raise ArgumentError(
@@ -237,9 +236,11 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
 
     @property
     def cache_bytes(self) -> int:
-        """Size of all training samples of ``levels`` at most, as they are kept."""
-        if self.cache_dir is None or self.levels is None:
+        """Size of all training samples at most, as they are kept."""
+        if self.cache_dir is None:
             return 0
+        if self.levels is None:
+            return self.num_train * self._sample_bytes(self.view.level or self.view.depth_level or 0)
         return sum(
             part["seeds"][1] * self._sample_bytes(level)
             for level, part in self.levels.items()
@@ -250,6 +251,8 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
         """Size of a sample of the most cameras, without compression: images, what is seen of them, depth, clues."""
         cameras = max(4 if self.world["level_rigs"] else 0, *self.num_cameras)
         size = num_icosphere_vertices(level) * (cameras * (3 + 1) + 4)
+        if self.view.images:
+            size += cameras * (3 + 1) * math.prod(self.image_size)
         return size + (0 if self.clues is None else clue_bytes(self.net, level))
 
     def at_level(self, view: SampleView, part: LevelSamples) -> WorldSamples | SamplesWithClues:

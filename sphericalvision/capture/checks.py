@@ -41,7 +41,7 @@ JUDGED_WITH = 16
 CLEARLY = 1.25
 """How much better the images must agree with the inverse poses."""
 DISAGREES = 0.4
-"""Correlation of a camera's image with the others' below which it shows something else. Rendered scenes of nine kinds
+"""Correlation of a camera's image with the others' below which it shows something else. Rendered scenes of five kinds
 have 0.65 to 0.97 and real captures 0.89 to 0.99; a camera that is mirrored, exchanged or turned has -0.4 to 0.31."""
 COMPARED = 64
 """Pixels of the shorter side of the images that are compared: finer, textures that depth blurs decide."""

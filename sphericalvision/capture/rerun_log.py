@@ -103,4 +103,4 @@ def _rerun() -> ModuleType:
     try:
         return import_module("rerun")
     except ImportError:
-        raise ArgumentError("rerun: not installed; pip install 'sphericalvision[rerun]'") from None
+        raise ArgumentError("rerun: not installed; pip install rerun-sdk") from None

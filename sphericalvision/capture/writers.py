@@ -235,7 +235,7 @@ class VideoWriter(SequenceWriter):
         try:
             import av
         except ImportError:
-            raise ArgumentError(f"{self.name}: needs PyAV; pip install 'sphericalvision[recipes]'") from None
+            raise ArgumentError(f"{self.name}: needs PyAV; pip install av") from None
 
         self._av, self._open = av, ExitStack()
         self.part = next(part for part in range(1, 10**6) if not self.path(part).exists())

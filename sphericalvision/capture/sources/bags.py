@@ -75,9 +75,7 @@ def bag_of(path: Path) -> Path | None:
             f"images: {path}: expected a bag of ROS 1 or 2, a file or a folder with metadata.yaml"
         )
     if find_spec("rosbags") is None:
-        raise ArgumentError(
-            f"images: {path} is a bag, which rosbags reads: pip install 'sphericalvision[bags]'"
-        )
+        raise ArgumentError(f"images: {path} is a bag, which rosbags reads: pip install rosbags")
     is_part = suffix != ".bag" and not is_folder and (path.parent / "metadata.yaml").is_file()
     return path.parent if is_part else path
 

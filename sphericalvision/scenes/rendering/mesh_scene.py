@@ -71,7 +71,7 @@ class MeshScene:
         ArgumentError: an unknown axis, a scale that is not positive, no triangles, more than 2**24 of them in all
             pieces, or textures of more than 2**28 pixels.
         ImportError: embreex, which intersects rays with triangles, is missing; it comes with
-            ``pip install 'sphericalvision[meshes]'``.
+            ``pip install embreex``.
 
     Examples:
         >>> import trimesh
@@ -121,8 +121,7 @@ class MeshScene:
             from trimesh.ray.ray_pyembree import RayMeshIntersector
         except BaseException as error:
             raise ImportError(
-                "MeshScene: embreex intersects rays with triangles and is not installed; "
-                "pip install 'sphericalvision[meshes]'"
+                "MeshScene: embreex intersects rays with triangles and is not installed; pip install embreex"
             ) from error
         return RayMeshIntersector(trimesh.Trimesh(self.vertices, self.faces, process=False))
 
@@ -197,7 +196,7 @@ def read_mesh_scene(
         MissingFileError: there is no such file.
         FileFormatError: another suffix, or the file cannot be read, has no triangles, or more of them or of pixels than
             a ``MeshScene`` takes.
-        ImportError: embreex is missing (``pip install 'sphericalvision[meshes]'``).
+        ImportError: embreex is missing (``pip install embreex``).
 
     Examples:
         >>> import trimesh

@@ -154,9 +154,7 @@ def _missing(path: Path, container: Any, stream: Any, times: Sequence[float | No
 @contextmanager
 def _open(path: Path) -> Iterator[Any]:
     if find_spec("av") is None:
-        raise ArgumentError(
-            f"images: {path} is a video, which PyAV reads: pip install av"
-        )
+        raise ArgumentError(f"images: {path} is a video, which PyAV reads: pip install av")
     import av
 
     try:

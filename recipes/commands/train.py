@@ -19,7 +19,7 @@ from pydantic import Field, with_config
 from pytorch_lightning.callbacks import LearningRateMonitor, ModelCheckpoint, ProgressBar
 from typing_extensions import TypedDict
 
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, check_file
 from sphericalvision.models import load_weights, save_weights
 from sphericalvision.recipes.app.cli import build, print_config
 from sphericalvision.recipes.app.kinds import STRICT, Count, Number, OnlyWith, Positive, Share, Text
@@ -177,6 +177,11 @@ def train(config: DictConfig, folder: Path) -> dict[str, float]:
     Raises:
         ArgumentError: ``folder`` holds a training that ``resume`` does not go on with, or one is at work in it.
     """
+    start = config.init_weights
+    if config.result is not None and start is not None and Path(start).parent == Path(config.paths.stages):
+        check_file(
+            start, "weights of the stage before; train that first, or all by experiment=refinedsweepnet"
+        )
     with run_folder(folder):
         return train_in(folder, resume_path(config.resume, folder), config)
 

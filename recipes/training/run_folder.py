@@ -89,7 +89,7 @@ def _holder(file: IO[str]) -> str:
 
 
 NO_SETTINGS = (
-    *("output", "resume", "tags", "paths.*", "callbacks.*", "logger.*"),
+    *("output", "result", "resume", "stages", "tags", "paths.*", "callbacks.*", "logger.*"),
     *("data.cache_dir", "data.num_workers"),
     *("trainer.accelerator", "trainer.log_every_n_steps", "trainer.enable_model_summary"),
 )

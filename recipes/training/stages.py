@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from hydra import compose
 from hydra.core.hydra_config import HydraConfig
@@ -27,17 +27,6 @@ __all__ = ["Stage", "train_stages"]
 
 OF_STAGES = ("experiment=", "stages=", "output=", "resume=", "result=", "paths.stages=")
 """Words of the whole command line that its stages set themselves."""
-CHANGES_NOTHING = (
-    "output",
-    "resume",
-    "tags",
-    "data.num_workers",
-    "trainer.*",
-    "callbacks.*",
-    "logger.*",
-    "paths.*",
-)
-"""Keys of a stage that is done which may differ: none of them is about data, network or loss."""
 
 
 class Stage(NamedTuple):
@@ -115,10 +104,10 @@ def print_plan(stages: list[Stage]) -> None:
     for stage in stages:
         state = "done" if stage.result.is_file() else f"{stage.hours:g}"
         steps = str(stage.config.trainer.max_steps)
-        rows.append([stage.name, steps, state, f"{stage.gigabytes:.1f}", str(stage.result)])
-    print_table("stages", ["experiment", "iterations", "core-hours", "GB of samples", "weights"], rows)
+        rows.append([stage.name, steps, state, f"{stage.gigabytes:.1f}"])
+    print_table("stages", ["experiment", "iterations", "core-hours", "GB of samples at most"], rows)
     for stage in stages:
-        changes = changed_settings(Path(stage.config.output), stage.config, CHANGES_NOTHING)
+        changes = changed_settings(Path(stage.config.output), stage.config)
         if stage.result.is_file() and changes:
             say(
                 f"{stage.name} was done with other settings ({'; '.join(changes[:3])}); remove {stage.result} and "
@@ -185,9 +174,7 @@ def write_card(stages: list[Stage], folder: Path) -> Path:
         lines.append(f"| {stage.name} | {config.trainer.max_steps} | {time_taken} | {config.seed} | {text} |")
     lines += ["", "## Settings", ""]
     for stage in stages:
-        settings: dict[str, Any] = flat_settings(
-            stage.config, (*CHANGES_NOTHING[:3], "*_target_", "*_partial_", "paths.*")
-        )
+        settings = flat_settings(stage.config)
         values = [f"`{key}={value}`" for key, value in settings.items() if value is not None]
         lines += [f"* {stage.name}: {', '.join(values)}"]
     path = stages[-1].result.with_suffix(".md")

@@ -55,7 +55,7 @@ def check_shapes(function: Callable[P, R]) -> Callable[P, R]:
     Examples:
         >>> from jaxtyping import Bool, Float
         >>> from torch import Tensor
-        >>> def masked(values: 'Float[Tensor, "*batch n"]', mask: 'Bool[Tensor, " n"] | None' = None) -> 'Tensor':
+        >>> def masked(values: Float[Tensor, "*batch n"], mask: Bool[Tensor, " n"] | None = None) -> Tensor:
         ...     return values if mask is None else values * mask
         >>> check_shapes(masked)(torch.ones(2, 3), torch.ones(4, dtype=torch.bool))
         Traceback (most recent call last):

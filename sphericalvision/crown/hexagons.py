@@ -120,8 +120,8 @@ def turned_on(kernels: Float[Tensor, "*filters 7"]) -> Float[Tensor, "*filters 7
     """Turn kernels ``(*, 7)`` on by one neighbour.
 
     Examples:
-        >>> turned_on(torch.arange(7))
-        tensor([5, 0, 1, 2, 3, 4, 6])
+        >>> turned_on(torch.arange(7.0))
+        tensor([5., 0., 1., 2., 3., 4., 6.])
     """
     return torch.cat((kernels[..., :6].roll(1, -1), kernels[..., 6:]), -1)
 

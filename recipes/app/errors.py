@@ -125,10 +125,12 @@ def _unknown_key(key: str, command: str, words: Sequence[str]) -> str:
     similar = difflib.get_close_matches(key, keys, 3) or [
         other for other in keys if other.rpartition(".")[2] == key.rpartition(".")[2]
     ]
-    hint = f"did you mean {' or '.join(similar[:3])}?" if similar else ""
+    if key == "rig" and "calibration" in keys:  # a group of the commands that render
+        similar = ["calibration"]
+    hint = f"; did you mean {' or '.join(similar[:3])}?" if similar else "."
     if not similar and dot and (siblings := [k[len(group) + 1 :] for k in keys if k.startswith(f"{group}.")]):
-        hint = f"{group} has {', '.join(siblings)}."
-    return f"there is no such key in this configuration; {hint}"
+        hint = f"; {group} has {', '.join(siblings)}."
+    return f"there is no such key in this configuration{hint}"
 
 
 def _keys_with(config_name: str, choices: Sequence[str] = ()) -> Sequence[str]:

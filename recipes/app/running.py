@@ -16,7 +16,7 @@ from functools import cache, partial
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import hydra
 from hydra import initialize_config_module
@@ -45,15 +45,12 @@ from sphericalvision.recipes.app.help import print_help
 from sphericalvision.recipes.app.words import first_values, quote_paths, read_words
 from sphericalvision.threads import prepare_threads
 
-if TYPE_CHECKING:
-    from sphericalvision.recipes.app.command import Command
-
 __all__ = ["config_space", "run_command"]
 
 CONF = "sphericalvision.conf"
 
 
-def run_command(command: Command, words: list[str]) -> None:
+def run_command(command: Any, words: list[str]) -> None:
     """Do what the words of a command line say: show help or version, refuse what does not fit, or let it work."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
@@ -93,7 +90,7 @@ def run_command(command: Command, words: list[str]) -> None:
         _ = done.return_value  # raises what the work has raised
 
 
-def sweep(loader: ConfigLoader, command: Command, overrides: list[str], work: Callable[..., Any]) -> None:
+def sweep(loader: ConfigLoader, command: Any, overrides: list[str], work: Callable[..., Any]) -> None:
     """Run a command once for each value; exits with status 1 where runs have failed, after all have run."""
     words = [*overrides, "hydra.mode=MULTIRUN"]
     config = loader.load_configuration(command.name, words, RunMode.MULTIRUN)
@@ -126,9 +123,7 @@ class Callbacks:
             getattr(callback, event)(**arguments)
 
 
-def checked_config(
-    loader: ConfigLoader, command: Command, overrides: list[str], multirun: bool
-) -> DictConfig:
+def checked_config(loader: ConfigLoader, command: Any, overrides: list[str], multirun: bool) -> DictConfig:
     """The configuration of a command line, of a multi-run's first run; exits where it does not fit."""
     try:
         words = first_values(overrides) if multirun else overrides
@@ -184,7 +179,7 @@ def import_torch() -> None:
         atexit.register(gc.freeze)
 
 
-def do_work(command: Command, own_files: Path | None, config: DictConfig) -> Any:
+def do_work(command: Any, own_files: Path | None, config: DictConfig) -> Any:
     """Import the Python files next to the user's own configs, let the command work, and report mistakes plainly.
 
     A run of a sweep that fails leaves the reason in its folder, and the others go on.

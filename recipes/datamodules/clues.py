@@ -16,7 +16,7 @@ from sphericalvision import __version__
 from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.models import DepthNetwork, IcoSweepNet, RefinedSweepNet
-from sphericalvision.models.logit_fusion import SweepClues
+from sphericalvision.models.hint_gate import SweepClues
 from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.models.weights.files import identity_of
 from sphericalvision.scenes import WorldSamples

@@ -170,7 +170,10 @@ def align_rig(predictor: Predictor, frames: Iterable[Mapping[str, Any]]) -> RigT
 def _doubt(verdict: RigTurns, sure: bool, latest: float) -> str:
     """Why nothing can be told; empty if something can."""
     if verdict.agreement[0] < LEAST_AGREEMENT:
-        return "images of different cameras show nothing in common; are they of one moment, and of these cameras?"
+        return (
+            "images of different cameras show nothing in common; are they of one moment, of these cameras, and is "
+            "there texture where cameras overlap?"
+        )
     farthest = verdict.rig.names[int(verdict.turns.norm(dim=-1).argmax())]
     if _largest(verdict) > MOST or latest > MOST_LEFT:
         return f"{farthest} seems to be turned by more than can be found; calibrate it anew"

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hints of depth: how far they agree with the images, and what they change in the logits of a fusion."""
+"""Hints of depth: how far clues of sweep and prior agree with them, and what they change in a fusion's logits."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
@@ -11,10 +11,7 @@ from torch import Tensor, nn
 
 from sphericalvision.models.tried_hypotheses import at_index, tried_index
 
-if TYPE_CHECKING:
-    from sphericalvision.models.logit_fusion import SweepClues
-
-__all__ = ["HintGate", "HintedIndex", "agreement"]
+__all__ = ["HintGate", "HintedIndex", "SweepClues", "agreement"]
 
 HINT_REACH = 4.0
 """Hypotheses beyond which it does not matter how far one is from a hint: it may be wrong."""
@@ -30,6 +27,26 @@ BENEFIT_OF_DOUBT = 0.01
 """Share of the directions by whose number a hint agrees beforehand: where nothing is sure, it is trusted."""
 DOUBT_SLOPE, DOUBTFUL_COST = 20.0, 0.7
 """How that share falls with the costs of the hint in the sweep, as a share of the mean over all depths; half there."""
+
+
+class SweepClues(NamedTuple):
+    """What geometry and a learned prior say of every direction: all that ``RefinedSweepNet`` starts from.
+
+    N hypotheses, of which M = 2 N - 1 are tried: one between every two.
+
+    Attributes:
+        cost: ``(B, M, V)`` smoothed costs of ``semi_global_costs``, the least of each vertex 0.
+        best: ``(B, M, V)`` correlation of the better half of the cameras.
+        mean: ``(B, N, V)`` correlation of all cameras that see the point.
+        cameras: ``(B, 4, V)`` how many see the point, at four hypotheses from infinity on.
+        prior: ``(B, N, V_prior)`` logits, on this or a coarser icosphere.
+    """
+
+    cost: Float[Tensor, "B M V"]
+    best: Float[Tensor, "B M V"]
+    mean: Float[Tensor, "B N V"]
+    cameras: Float[Tensor, "B four V"]
+    prior: Float[Tensor, "B N V_prior"]
 
 
 class HintedIndex(NamedTuple):

@@ -12,35 +12,15 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from sphericalvision.models.hexunet import HexUNet
-from sphericalvision.models.hint_gate import HintedIndex, HintGate
+from sphericalvision.models.hint_gate import HintedIndex, HintGate, SweepClues
 from sphericalvision.models.tried_hypotheses import best_mode
 from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth
 
-__all__ = ["FusedLogits", "LogitFusion", "SweepClues"]
+__all__ = ["FusedLogits", "LogitFusion"]
 
 PRIOR_FLOOR = -8.0
 STRENGTH = 4.0
 """Of the residual, so that layers may be small."""
-
-
-class SweepClues(NamedTuple):
-    """What geometry and a learned prior say of every direction: all that ``RefinedSweepNet`` starts from.
-
-    N hypotheses, of which M = 2 N - 1 are tried: one between every two.
-
-    Attributes:
-        cost: ``(B, M, V)`` smoothed costs of ``semi_global_costs``, the least of each vertex 0.
-        best: ``(B, M, V)`` correlation of the better half of the cameras.
-        mean: ``(B, N, V)`` correlation of all cameras that see the point.
-        cameras: ``(B, 4, V)`` how many see the point, at four hypotheses from infinity on.
-        prior: ``(B, N, V_prior)`` logits, on this or a coarser icosphere.
-    """
-
-    cost: Float[Tensor, "B M V"]
-    best: Float[Tensor, "B M V"]
-    mean: Float[Tensor, "B N V"]
-    cameras: Float[Tensor, "B four V"]
-    prior: Float[Tensor, "B N V_prior"]
 
 
 class FusedLogits(NamedTuple):

@@ -28,9 +28,9 @@ from sphericalvision.models.candidate_refinement import (
     ring_around,
 )
 from sphericalvision.models.depth_network import DepthNetwork
-from sphericalvision.models.hint_gate import HintedIndex
+from sphericalvision.models.hint_gate import HintedIndex, SweepClues
 from sphericalvision.models.icosweepnet import IcoSweepNet
-from sphericalvision.models.logit_fusion import FusedLogits, LogitFusion, SweepClues
+from sphericalvision.models.logit_fusion import FusedLogits, LogitFusion
 from sphericalvision.models.tried_hypotheses import at_index, between_hypotheses, two_modes
 from sphericalvision.models.weights.registry import register_network
 from sphericalvision.sweep import (

@@ -27,7 +27,7 @@ from tests.processes import python
 from tests.worlds import RANDOM_RIGS
 
 SIZE = (24, 48)
-LEVELS: Any = {3: {"share": 1.0, "batch_size": 1, "image_size": (16, 16)}}
+LEVELS: Any = {3: {"seeds": (0, 4), "times": 1, "batch_size": 1, "image_size": (16, 16)}}
 
 
 def refined(train_prior: bool = False) -> RefinedSweepNet:

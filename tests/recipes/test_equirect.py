@@ -29,7 +29,7 @@ def test_networks_are_evaluated_on_panoramas(
 ) -> None:
     words = [word for word in TINY_SCENES if "image_size" not in word]
     run("evaluate", *TINY_PANORAMAS, *words, f"checkpoint={weights}", "output=table", "device=cpu")
-    assert "make_panorama_ring" in capsys.readouterr().out
+    assert "rig=equirect4" in capsys.readouterr().out
     row = json.loads((tmp_path / "table/metrics.json").read_text())["weights"]
     assert 0 <= row["MAE"] <= row["RMS"] <= 100
 

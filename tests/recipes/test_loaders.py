@@ -22,8 +22,8 @@ RECORDED = ("deep360", "helvipad", "omnipus")
 WORDS = {
     **{name: (f"data.root=data/{name}",) for name in RECORDED},
     "capture": (
-        "data.images='c/{camera}/{frame}.png'",
-        "data.calibration=c/rig.yaml",
+        "data.images='capture/{camera}/{frame}.png'",
+        "data.calibration=capture/config.yaml",
         "data.min_depth=0.55",
         "model.level=5",
     ),
@@ -79,8 +79,10 @@ def test_processes_that_prepare_samples_are_handed_no_trainer(
     furnished: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     monkeypatch.chdir(furnished)
-    kind = {"digits": "spherical_digits", "labelled_rooms": "segmentation"}.get(name, "refinedsweepnet")
-    words = [] if kind != "refinedsweepnet" else [f"data={name}"]
+    kind = {"digits": "spherical_digits", "labelled_rooms": "segmentation"}.get(
+        name, "refinedsweepnet/fusion"
+    )
+    words = [] if kind != "refinedsweepnet/fusion" else [f"data={name}"]
     config = composed("train", f"experiment={kind}", *words, *WORDS.get(name, ()))
     data = build(config.data)
     data.bind_network(build(config.model))

@@ -226,13 +226,13 @@ def _kinds(tensors: list[Tensor], differentiable_triton: bool) -> tuple[str, ...
 
 def _tensors(values: Any) -> list[Tensor]:
     """Tensors among arguments, also those inside of tuples and lists."""
-    found: list[Tensor] = []
+    tensors: list[Tensor] = []
     for value in values:
         if isinstance(value, Tensor):
-            found.append(value)
+            tensors.append(value)
         elif isinstance(value, tuple | list):
-            found += _tensors(value)
-    return found
+            tensors += _tensors(value)
+    return tensors
 
 
 def full_precision(function: Callable[P, R]) -> Callable[P, R]:

@@ -216,16 +216,16 @@ class PosedCapture(Capture):
         base = torch.eye(4) if self.frame is None else read_pose(self.frame, "frame")
         if self.poses is not None:
             return base
-        turn = OPTICAL_FROM_ROS if self.frame else upright_turn(self.upwards, rig.world_from_camera)
-        return turn.to(base) @ base
+        rotation = OPTICAL_FROM_ROS if self.frame else upright_turn(self.upwards, rig.world_from_camera)
+        return rotation.to(base) @ base
 
     @property
     def axes(self) -> Tensor | None:
         """``(3, 3)``, from where depth is computed to axes of a robot's frame, or of its world; None without one."""
         if self.frame is None:
             return None
-        turn = OPTICAL_FROM_ROS if self.poses is None else upright_turn(self.upwards, torch.eye(4)[None])
-        return turn[:3, :3].mT
+        rotation = OPTICAL_FROM_ROS if self.poses is None else upright_turn(self.upwards, torch.eye(4)[None])
+        return rotation[:3, :3].mT
 
     def open(self) -> Source:
         """The frames; with poses those of windows, where ``calibration`` may be ``PANORAMA``.

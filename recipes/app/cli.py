@@ -83,9 +83,9 @@ def print_config(config: Any, folder: Path | None = None) -> None:
         config: the configuration, or a dataclass of keys.
         folder: where the whole configuration is written, ``config.yaml``.
     """
-    words = unquote_paths(list(HydraConfig.get().overrides.task)) if HydraConfig.initialized() else []
-    say("Configuration, as it differs from the defaults:" if words else "Configuration: the defaults")
-    for word in words:
+    overrides = unquote_paths(list(HydraConfig.get().overrides.task)) if HydraConfig.initialized() else []
+    say("Configuration, as it differs from the defaults:" if overrides else "Configuration: the defaults")
+    for word in overrides:
         say(f"  {word}")
     if folder is not None:
         node = OmegaConf.create(flat(config)) if is_dataclass(config) else config

@@ -111,8 +111,8 @@ class _Sources:
     def __init__(self, config_name: str, overrides: list[str], search_path: Sequence[str]) -> None:
         self.config_name, self.overrides = config_name, overrides
         self.loader: Any = GlobalHydra.instance().config_loader()
-        places = [element.path or "" for element in self.loader.get_search_path().get_path()]
-        self.places = [*places, *search_path]
+        paths = [element.path or "" for element in self.loader.get_search_path().get_path()]
+        self.places = [*paths, *search_path]
 
     def options(self, group: str) -> list[str]:
         """Names of the files of a group, without those that others only inherit from."""

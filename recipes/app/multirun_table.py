@@ -45,13 +45,14 @@ def multirun_rows(folder: Path) -> list[dict[str, Any]]:
     for path in folder.glob("*/.hydra/overrides.yaml"):
         run = path.parent.parent
         if values := _outcome(run):
-            words = map(str, OmegaConf.load(path))
-            runs.append((run.name, dict(word.split("=", 1) for word in words if "=" in word), values))
+            overrides = map(str, OmegaConf.load(path))
+            runs.append((run.name, dict(word.split("=", 1) for word in overrides if "=" in word), values))
     runs.sort(key=lambda run: (len(run[0]), run[0]))
-    keys = dict.fromkeys(key for _, words, _ in runs for key in words)
-    varied = [key for key in keys if len({words.get(key) for _, words, _ in runs}) > 1]
+    keys = dict.fromkeys(key for _, overrides, _ in runs for key in overrides)
+    varied = [key for key in keys if len({overrides.get(key) for _, overrides, _ in runs}) > 1]
     return [
-        {"run": name, **{key: words.get(key, "") for key in varied}, **values} for name, words, values in runs
+        {"run": name, **{key: overrides.get(key, "") for key in varied}, **values}
+        for name, overrides, values in runs
     ]
 
 

@@ -131,9 +131,9 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
     check_settings(settings, earlier, folder)
 
     if config.capture.up == FLOOR:
-        turn = floor_turn(predictor, source)
-        placement = turn.to(placement) @ placement
-        calibrated.rig = placed(calibrated.rig, turn)
+        rotation = floor_turn(predictor, source)
+        placement = rotation.to(placement) @ placement
+        calibrated.rig = placed(calibrated.rig, rotation)
         predictor = predictor.with_changes(source.rig)
     aligned = aligned_rig(predictor, calibrated, folder, bool(earlier) and config.skip_existing, placement)
     if aligned is not None:
@@ -239,8 +239,8 @@ def warn_if_inverted(source: Source, up: str) -> None:
     if not isinstance(source, Moving) or up not in ("-y", "y", "z"):
         return
     poses = source.poses  # turned already: those in the file are the inverse of the turn times these
-    turn = upright_turn(up, poses.world_from_camera).to(poses.world_from_camera)
-    inverse = Trajectory(poses.names, torch.linalg.inv(poses.world_from_camera) @ turn)
+    rotation = upright_turn(up, poses.world_from_camera).to(poses.world_from_camera)
+    inverse = Trajectory(poses.names, torch.linalg.inv(poses.world_from_camera) @ rotation)
     agreements = torch.zeros(2)
     for frame in source.samples():
         if frame.images is None or frame.rig is None:
@@ -286,9 +286,9 @@ def nearest(
 def floor_turn(predictor: Predictor, source: Source) -> Tensor:
     """``(4, 4)``, which levels a rig by the floor in the depth of a few frames; prints by how much."""
     depths = (predictor(frame.images) for frame in source.samples() if frame.images is not None)
-    turn, sentence = leveling_turn(depths)
+    rotation, sentence = leveling_turn(depths)
     say(f"up=floor: {sentence}")
-    return turn
+    return rotation
 
 
 def aligned_rig(

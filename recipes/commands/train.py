@@ -109,8 +109,8 @@ def instantiate_run(config: DictConfig, folder: Path) -> Run:
     pl.seed_everything(config.seed, workers=True, verbose=False)
     config.paths.run = str(folder)
     net = build(config.model, "model")
-    parts = {name: build(config[name], name) for name in ("loss", "optimizer", "scheduler")}
-    module: TrainingModule = build(config.task, "task", net=net, **parts)
+    components = {name: build(config[name], name) for name in ("loss", "optimizer", "scheduler")}
+    module: TrainingModule = build(config.task, "task", net=net, **components)
     check_optimization(module)
     data: SampleDataModule = build(config.data, "data")
     data.bind_network(net)

@@ -200,8 +200,8 @@ class CaptureDataModule(CaptureFields, PreparedSamples):
     @property
     def start_share(self) -> float:
         """Photo-consistency of the held-out frames by the network as it was at first."""
-        shares = [self.labelled[name].labels.share for name in self.held_out]
-        return sum(shares) / len(shares)
+        fractions = [self.labelled[name].labels.share for name in self.held_out]
+        return sum(fractions) / len(fractions)
 
     def dataset(self, split: str) -> Dataset[Sample]:
         """Disturbed frames and rendered scenes in "train", the held-out frames as they are otherwise."""

@@ -143,13 +143,13 @@ class SkipDamaged(Dataset[Sample]):
 
     def __getitem__(self, index: int) -> Sample:
         for step in range(len(self)):
-            place = (index + step) % len(self)
-            if self.damaged[place]:
+            neighbor = (index + step) % len(self)
+            if self.damaged[neighbor]:
                 continue
             try:
-                sample = self.dataset[place]
+                sample = self.dataset[neighbor]
             except UNREADABLE:
-                self.damaged[place] = True
+                self.damaged[neighbor] = True
                 continue
             return sample if step == 0 or self.counts else _without_truth(sample)
         raise FileFormatError(f"data: none of {len(self)} frames can be read. The first: {self._reason(0)}")

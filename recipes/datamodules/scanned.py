@@ -286,8 +286,8 @@ class OwnScansDataModule(CaptureFields, ScannedDataModule):
             files, self.source.rig, self.points, pose, height, transform, self.tolerance, self.point_columns
         )
         number = max(round(self.val_share * len(scans.names)), int(self.val_share > 0))
-        parts = {"train": scans.names[: len(scans) - number], "val": scans.names[len(scans) - number :]}
-        scans.names = parts.get(split, scans.names)
+        splits = {"train": scans.names[: len(scans) - number], "val": scans.names[len(scans) - number :]}
+        scans.names = splits.get(split, scans.names)
         if not scans.names:
             raise ArgumentError(
                 f"data.val_share: {self.val_share:g} of {len(files)} frames leaves none to {split}"

@@ -66,8 +66,8 @@ def busy(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
             for call in range(FIRST_CALLS):
                 for way, (variables, prepared) in WAYS.items():
                     with ExitStack() as own:
-                        words = ["-c", FRAMES, str(side), str(prepared)]
-                        process = own.enter_context(_process(words, variables, cores))
+                        arguments = ["-c", FRAMES, str(side), str(prepared)]
+                        process = own.enter_context(_process(arguments, variables, cores))
                         assert process.stdout is not None
                         process.stdout.readline()  # torch and the network are loaded
                         first_calls[way].append(_frame(process))

@@ -110,8 +110,8 @@ def _error(predictor: Predictor, frames: Sequence[TrackFrame]) -> float:
 
 def preset_predictor(name: str, rig: CameraRig, device: torch.device) -> Predictor:
     """The predictor of ``sphericalvision-predict`` under a preset, for scenes of natural size."""
-    words = ["calibration=rig.yaml", "images=images", f"device={device.type}", "min_depth=0.55"]
-    config = compose("predict", words if name == "default" else [f"preset={name}", *words])
+    overrides = ["calibration=rig.yaml", "images=images", f"device={device.type}", "min_depth=0.55"]
+    config = compose("predict", overrides if name == "default" else [f"preset={name}", *overrides])
     return predictor_for(rig, typed(PredictConfig, config))
 
 

@@ -122,8 +122,8 @@ def _named(name: str, runs: dict[str, Run]) -> dict[str, Run]:
 
 def variant(name: str, level: int, num_hypotheses: int) -> IcoSweepNet:
     """The network of ``conf/model/<name>.yaml``, for inference, at a level and a number of hypotheses."""
-    words = [f"model={name}", f"model.level={level}", f"model.num_hypotheses={num_hypotheses}"]
-    net: IcoSweepNet = build(compose("train", words).model, "variants")
+    overrides = [f"model={name}", f"model.level={level}", f"model.num_hypotheses={num_hypotheses}"]
+    net: IcoSweepNet = build(compose("train", overrides).model, "variants")
     return net.eval()
 
 

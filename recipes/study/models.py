@@ -52,10 +52,10 @@ class StudyModel(NamedTuple):
         if self.kind != "depth_network" or self.train is None or self.checkpoint is not None:
             return []
         home = folder / "models" / self.name
-        words = [(*self.words(config), f"seed={seed}") for seed in config.seeds]
+        runs = [(*self.words(config), f"seed={seed}") for seed in config.seeds]
         return [
             Training(self.name, seed, home / f"seed{seed}", own, training_config(own))
-            for seed, own in zip(config.seeds, words, strict=True)
+            for seed, own in zip(config.seeds, runs, strict=True)
         ]
 
     def methods(self, config: DictConfig, trainings: Sequence[Training]) -> list[Method]:
@@ -122,12 +122,12 @@ def study_models(config: DictConfig) -> list[StudyModel]:
 def _model(name: str, entry: dict[str, Any]) -> StudyModel:
     for key in entry:
         check_choice(f"models.{name}", key, ("kind", "label", "train", "checkpoint"))
-    kind, words = entry.get("kind", "depth_network"), entry.get("train")
+    kind, runs = entry.get("kind", "depth_network"), entry.get("train")
     check_choice(f"models.{name}.kind", kind, KINDS)
-    if kind == "constant" and words is None:
+    if kind == "constant" and runs is None:
         raise ArgumentError(
             f"models.{name}.train: a constant depth map is the median of a training set; give the words that "
             "choose it, or [] for that of the words in training"
         )
-    train = None if words is None else tuple(map(str, words))
+    train = None if runs is None else tuple(map(str, runs))
     return StudyModel(name, entry.get("label") or name, kind, train, entry.get("checkpoint"))

@@ -43,8 +43,8 @@ class AdaptModule(DepthModule):
         index = self.estimate(batch)
         correlation = batch["correlation"].float() / 255
         vertices = Icosphere(level_from_num_vertices(correlation.shape[-1]), device=index.device).vertices
-        place = self.net.index_at(index, vertices)[0] / (self.net.num_hypotheses - 1)
-        self.share.update(consistency_share(place, correlation, batch["correlation_seen"]))
+        position = self.net.index_at(index, vertices)[0] / (self.net.num_hypotheses - 1)
+        self.share.update(consistency_share(position, correlation, batch["correlation_seen"]))
         return index
 
     def on_validation_epoch_end(self) -> None:

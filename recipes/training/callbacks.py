@@ -152,8 +152,8 @@ class SaveOnInterrupt(Callback):
         """Stop all processes if one was asked to."""
         if trainer.world_size == 1:
             return
-        asked = torch.tensor(self.asked, device=trainer.strategy.root_device)
-        number = int(trainer.strategy.reduce(asked, reduce_op="max"))
+        requested = torch.tensor(self.asked, device=trainer.strategy.root_device)
+        number = int(trainer.strategy.reduce(requested, reduce_op="max"))
         if number == signal.SIGTERM:
             trainer._signal_connector.received_sigterm = True  # so that the exit status says so
             raise SIGTERMException

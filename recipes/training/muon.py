@@ -126,10 +126,10 @@ class Muon(Optimizer):
         gradients = [parameter.grad for parameter in parameters]
         means = [self.state[parameter]["mean"] for parameter in parameters]
         torch._foreach_lerp_(means, gradients, 1 - momentum)  # type: ignore[arg-type]
-        ahead = torch.stack(gradients).lerp_(torch.stack(means), momentum)  # type: ignore[arg-type]  # Nesterov's
-        matrices = ahead.flatten(2)  # of output channels by everything else
+        lookahead = torch.stack(gradients).lerp_(torch.stack(means), momentum)  # type: ignore[arg-type]  # Nesterov's
+        matrices = lookahead.flatten(2)  # of output channels by everything else
         size = SIZE * math.sqrt(max(1.0, matrices.shape[1] / matrices.shape[2]))
-        steps = orthogonalized(matrices).view_as(ahead)
+        steps = orthogonalized(matrices).view_as(lookahead)
         weights: list[Tensor] = list(parameters)
         torch._foreach_mul_(weights, 1 - lr * weight_decay)
         torch._foreach_add_(weights, list(steps), alpha=-lr * size)

@@ -89,13 +89,13 @@ def train_stages(config: DictConfig, folder: Path) -> float:
 def stage_of(name: str, hours: float, folder: Path) -> Stage:
     """A stage with the words of this command line."""
     own = [word for word in HydraConfig.get().overrides.task if not word.startswith(OF_STAGES)]
-    words = [f"experiment={name}", *own, f"paths.stages={folder}", "resume=auto"]
-    config = compose("train", words)
+    overrides = [f"experiment={name}", *own, f"paths.stages={folder}", "resume=auto"]
+    config = compose("train", overrides)
     if config.result is None:
         raise ArgumentError(
             f"stages.{name}: this experiment sets no result=, the file of weights that says that it is done"
         )
-    return Stage(name, hours, [*own_configs(), *words], config)
+    return Stage(name, hours, [*own_configs(), *overrides], config)
 
 
 def print_plan(stages: list[Stage]) -> None:

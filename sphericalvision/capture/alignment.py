@@ -84,8 +84,8 @@ class RigTurns(NamedTuple):
             >>> RigTurns.undecided(ring_rig(3), "there is no frame").described()
             'could not tell whether the calibration is right, because there is no frame'
         """
-        turns = torch.zeros(len(rig), 3, dtype=torch.float64, device=rig.world_from_camera.device)
-        return cls(rig, turns, turns.sum(-1) + math.inf, reason=reason)
+        rotations = torch.zeros(len(rig), 3, dtype=torch.float64, device=rig.world_from_camera.device)
+        return cls(rig, rotations, rotations.sum(-1) + math.inf, reason=reason)
 
     @property
     def within(self) -> float:
@@ -150,8 +150,10 @@ def align_rig(predictor: Predictor, frames: Iterable[Mapping[str, Any]]) -> RigT
         if not verdict.turns.norm(dim=-1).max() < MOST or _largest(latest) < AGAIN:
             break
         latest = _estimated(estimate(predictor.with_changes(turned(rig, verdict.turns))))
-        turns = about_most(_between(rig, turned(latest.rig, latest.turns)))
-        verdict = latest._replace(rig=rig, turns=turns, agreement=(verdict.agreement[0], latest.agreement[1]))
+        rotations = about_most(_between(rig, turned(latest.rig, latest.turns)))
+        verdict = latest._replace(
+            rig=rig, turns=rotations, agreement=(verdict.agreement[0], latest.agreement[1])
+        )
     sizes = verdict.turns.norm(dim=-1)
     sure = sizes > SURE * verdict.spread
     if len(rig) == 2:  # which of the two it was cannot be told
@@ -180,9 +182,9 @@ def _doubt(verdict: RigTurns, sure: bool, latest: float) -> str:
     if verdict.spread.max() < DOUBT and (sure or verdict.within < ENOUGH):
         return ""
     doubtful = verdict.rig.names[int((verdict.turns.norm(dim=-1) + 2 * verdict.spread).argmax())]
-    apart = len(verdict.rig) == 2 and _observability(verdict.rig) < USUAL_OBSERVABILITY / 2
+    are_opposed = len(verdict.rig) == 2 and _observability(verdict.rig) < USUAL_OBSERVABILITY / 2
     more = "more frames, with more texture where cameras overlap, say more"
-    if apart:
+    if are_opposed:
         more = "of two cameras that look apart, turns look like depth; calibrate them with a board"
     return f"{doubtful} could be turned by up to {math.degrees(verdict.within):.2f}°; {more}"
 

@@ -181,23 +181,21 @@ def camera_agreement(depth: Depth) -> dict[str, float]:
         grey = image.float().mean(-3, keepdim=True)
         small = F.avg_pool2d(grey, max(1, min(grey.shape[-2:]) // COMPARED), ceil_mode=True)
         sizes = pixels.new_tensor(grey.shape[:-3:-1])
-        places = (2 * (pixels[k] + 0.5) / sizes - 1)[None, None]
-        values.append(
-            F.grid_sample(small[None], places, padding_mode="border", align_corners=False).flatten()
-        )
+        grid = (2 * (pixels[k] + 0.5) / sizes - 1)[None, None]
+        values.append(F.grid_sample(small[None], grid, padding_mode="border", align_corners=False).flatten())
         if name in depth.rig.masks:
             mask = depth.rig.masks[name].to(grey)[None, None]
-            valid[k] &= F.grid_sample(mask, places, mode="nearest", align_corners=False).flatten() > 0.5
+            valid[k] &= F.grid_sample(mask, grid, mode="nearest", align_corners=False).flatten() > 0.5
     grey, shows = torch.stack(values), valid.to(torch.float32)
     others = shows.sum(0) - shows
     means = ((grey * shows).sum(0) - grey * shows) / others.clamp(min=1)
     result = {}
     for name, own, mean, mask in zip(depth.rig.names, grey, means, valid & (others > 0), strict=True):
         if int(mask.sum()) >= FEWEST:
-            both = torch.stack((own[mask], mean[mask]))
-            both = both - both.mean(1, keepdim=True)
-            product = both.square().sum(1).prod().sqrt()
-            result[name] = float(both.prod(0).sum() / product) if product > 1e-6 else 0.0
+            pairs = torch.stack((own[mask], mean[mask]))
+            pairs = pairs - pairs.mean(1, keepdim=True)
+            product = pairs.square().sum(1).prod().sqrt()
+            result[name] = float(pairs.prod(0).sum() / product) if product > 1e-6 else 0.0
     return result
 
 

@@ -161,15 +161,17 @@ def _slice_parts(graph: Graph) -> None:
             continue
         tensor, *sizes, dim = node.args if len(node.args) > PARTS[node.target] else (*node.args, 0)
         for user in list(node.users):
-            part: Any = user.args[1]
+            index: Any = user.args[1]
             with graph.inserting_before(user):
                 if not sizes:
-                    one = graph.call_function(torch.ops.aten.select.int, (tensor, dim, part))
+                    one = graph.call_function(torch.ops.aten.select.int, (tensor, dim, index))
                 else:
                     ends = list(
-                        accumulate(sizes[0] if isinstance(sizes[0], Sequence) else repeat(sizes[0], part + 1))
+                        accumulate(
+                            sizes[0] if isinstance(sizes[0], Sequence) else repeat(sizes[0], index + 1)
+                        )
                     )
-                    bounds = ([0, *ends][part], ends[part])
+                    bounds = ([0, *ends][index], ends[index])
                     one = graph.call_function(torch.ops.aten.slice.Tensor, (tensor, dim, *bounds))
             user.replace_all_uses_with(one)
 

@@ -311,7 +311,7 @@ def compile_program(exported: torch.export.ExportedProgram, path: str | Path) ->
         raise ArgumentError(f"path: expected a name that ends in .pt2, got {path.name!r}")
     with tempfile.TemporaryDirectory(dir=path.parent) as folder, quiet():
         try:
-            made = aoti_compile_and_package(exported, package_path=str(Path(folder) / path.name))
+            package = aoti_compile_and_package(exported, package_path=str(Path(folder) / path.name))
         except InvalidCxxCompiler:
             raise MissingCompilerError(
                 "compiled: needs a C++ compiler, g++ or clang++ (CXX names another); formats=[pt2,onnx] need none"
@@ -326,7 +326,7 @@ def compile_program(exported: torch.export.ExportedProgram, path: str | Path) ->
             raise MissingCompilerError(
                 "compiled: for device=cuda needs the CUDA toolkit and its headers; CUDA_HOME names its folder"
             ) from None
-        Path(made).replace(path)
+        Path(package).replace(path)
     _write_description(exported, path)
     return path
 

@@ -110,11 +110,11 @@ class FusedCloud:
         while center.abs().max() / self.side >= 2 ** (BITS - 2):
             self._coarsen()
         self._see_through(panorama, center)
-        places = (cloud.points.cpu().double() + offset) / self.side
-        cubes = places.floor().long()
+        cells = (cloud.points.cpu().double() + offset) / self.side
+        cubes = cells.floor().long()
         within = (cubes.abs() < 2 ** (BITS - 1)).all(-1)
         weights = cloud.confidence.cpu().clamp(min=1e-3)[:, None]
-        rest = (places - cubes).float()
+        rest = (cells - cubes).float()
         weighted = [weights * values for values in (rest, cloud.colors.cpu(), cloud.normals.cpu())]
         sums = torch.cat((weights, *weighted, torch.zeros(len(weights), 2)), 1)
         packed, sums = _summed(_packed(cubes[within]), sums[within])
@@ -194,9 +194,9 @@ class FusedCloud:
 
     def _coarsen(self) -> None:
         """Double the sides of the cubes; of eight that become one the most frequent says how many frames saw it."""
-        places = _unpacked(self._cubes)
-        self._sums[:, 1:4] = (self._sums[:, 1:4] + self._sums[:, :1] * (places & 1)) / 2
-        coarse = _packed(places >> 1)
+        cells = _unpacked(self._cubes)
+        self._sums[:, 1:4] = (self._sums[:, 1:4] + self._sums[:, :1] * (cells & 1)) / 2
+        coarse = _packed(cells >> 1)
         self._cubes, sums = _summed(coarse, self._sums)
         where = torch.searchsorted(self._cubes, coarse)
         where = where[:, None].expand(-1, 2)

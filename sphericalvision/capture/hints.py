@@ -177,7 +177,7 @@ class Hint:
 
         check_type("views", views, Views, "Views(depth images, rig), or views(...).map(network)")
         check_choice("quantity", quantity, ("range", "z"))
-        parts = []
+        chunks = []
         at_center = bool((views.rig.positions == 0).all())
         for number, (name, camera) in enumerate(views.rig.cameras.items()):
             image = views.images[number]
@@ -193,8 +193,8 @@ class Hint:
                 values = inverse_of(values)
             usable = usable.flatten() & ((rays[..., 2].flatten() > 1e-3) | (quantity == "range"))
             start = None if at_center else pose[:3, 3]
-            parts.append(_view(start, rays.reshape(-1, 3) @ pose[:3, :3].T, values, factor, weight, usable))
-        return cls(parts, fit)
+            chunks.append(_view(start, rays.reshape(-1, 3) @ pose[:3, :3].T, values, factor, weight, usable))
+        return cls(chunks, fit)
 
     @classmethod
     def of_depth(cls, depth: Depth, pose: Float[Tensor, "4 4"]) -> CarriedDepth:
@@ -399,11 +399,11 @@ def _view(
         raise ArgumentError(
             f"weight: expected 0 to 1, got {weights.min().item():g} to {weights.max().item():g}"
         )
-    known = values.isfinite() & rays.isfinite().all(-1) & (rays != 0).any(-1) & (weights > 0)
+    valid = values.isfinite() & rays.isfinite().all(-1) & (rays != 0).any(-1) & (weights > 0)
     if usable is not None:
-        known &= usable
+        valid &= usable
     factor = torch.ones_like(values) if factor is None else factor
-    return HintView(start, F.normalize(rays[known], dim=-1), values[known], factor[known], weights[known])
+    return HintView(start, F.normalize(rays[valid], dim=-1), values[valid], factor[valid], weights[valid])
 
 
 def _weights(weight: float | Tensor, values: Tensor) -> Tensor:

@@ -178,14 +178,14 @@ class Predictor:
         self.rig = rig.to(self.device)
         self.preparation = Preparation() if preparation is None else preparation
         self._channels, self._precision = channels, precision
-        near = net.min_depth if self.min_depth is None else self.min_depth
+        nearest = net.min_depth if self.min_depth is None else self.min_depth
         if method == "semi_global":  # one level coarser than the images
             from sphericalvision.models import SemiGlobalSweep
 
             level = level or (net.level if net.images == "sphere" else SCENE_LEVEL - 1)
-            net = SemiGlobalSweep(level, num_hypotheses or net.num_hypotheses, near, depth_coarsening=1)
+            net = SemiGlobalSweep(level, num_hypotheses or net.num_hypotheses, nearest, depth_coarsening=1)
         else:
-            net = with_own(net, net is weights, level=level, num_hypotheses=num_hypotheses, min_depth=near)
+            net = with_own(net, net is weights, level=level, num_hypotheses=num_hypotheses, min_depth=nearest)
         self._network = net.eval().to(self.device)
         self._lock = threading.Lock()
         self._pipeline: Pipeline | None = None

@@ -87,8 +87,8 @@ class PseudoLabeller:
         swept = semi_global_sweep(on_sphere, self.sweep, *self.hypotheses, coarse.level, seen=seen)
         _, correlation, cameras = correlation_evidence(on_sphere, self.sweep.sweep, seen).unbind(1)
         two_see = cameras >= 2
-        place = net.index_at(estimate.index, coarse.vertices)[0] / (net.num_hypotheses - 1)
-        share = float(consistency_share(place, correlation, two_see))
+        position = net.index_at(estimate.index, coarse.vertices)[0] / (net.num_hypotheses - 1)
+        fraction = float(consistency_share(position, correlation, two_see))
         sure_sweep, swept_index = (
             coarse.sample(values[:, None], net.grid.directions)[:, 0]
             for values in ((swept.confidence > SURE).float(), swept.index)
@@ -100,5 +100,5 @@ class PseudoLabeller:
             (corrected | (estimate.confidence >= UNSURE))[0],
             (correlation[0] * 255).round().byte(),
             two_see[0],
-            share,
+            fraction,
         )

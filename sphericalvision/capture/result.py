@@ -253,7 +253,7 @@ class Depth:
             views.append(DepthImage(depth, sure, seen_by_two))
         if not self.batch_shape:
             return views[0]
-        return DepthImage(*(torch.stack(parts) for parts in zip(*views, strict=True)))
+        return DepthImage(*(torch.stack(fields) for fields in zip(*views, strict=True)))
 
     @full_precision
     def points(
@@ -340,8 +340,8 @@ class Depth:
         """Inverse depth, confidence and seen ``(3 * b, *grid)``."""
         grid = self.network.grid.shape
         number = self.index.numel() // math.prod(grid)
-        parts = (self.inverse_depth, self.confidence, self.seen)
-        return torch.cat([values.to(torch.float32).reshape(number, *grid) for values in parts])
+        fields = (self.inverse_depth, self.confidence, self.seen)
+        return torch.cat([values.to(torch.float32).reshape(number, *grid) for values in fields])
 
     def _parts(self, values: Tensor, reached: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         inverse_depth, confidence, seen = values.reshape(3, *self.batch_shape, values.shape[-1])

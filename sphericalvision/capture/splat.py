@@ -126,9 +126,9 @@ class SplatScene:
             maps, valid = _seen_from(depth, self._coarse[name], pose, surface)
             image = depth.images[view_name].cpu()
             for view in self._views[name]:
-                place = pose.double() @ view.pose
-                place[:3, 3] += rig.origin - self._origin
-                poses.setdefault(view.kind, []).append(place)
+                world_from_view = pose.double() @ view.pose
+                world_from_view[:3, 3] += rig.origin - self._origin
+                poses.setdefault(view.kind, []).append(world_from_view)
                 cameras.setdefault(view.kind, {})[view.name] = view.camera
                 self._write(view, frame, image, maps, valid)
         self._frames[frame] = {kind: CameraRig(cameras[kind], torch.stack(poses[kind])) for kind in cameras}
@@ -174,8 +174,8 @@ class SplatScene:
         """Choose the cameras of the data sets; ``spacing`` is that of the network's directions, radians."""
         lenses = self._native(rig)
         for name, camera in rig.cameras.items():
-            share = min(1.0, FINENESS / (spacing * pixels_a_radian(camera)))
-            coarse = camera.resized([max(1, round(share * side)) for side in camera.image_size])
+            scale = min(1.0, FINENESS / (spacing * pixels_a_radian(camera)))
+            coarse = camera.resized([max(1, round(scale * side)) for side in camera.image_size])
             self._coarse[name] = coarse
             mask = masks[name]
             usable = torch.ones(camera.image_size, dtype=torch.bool) if mask is None else mask
@@ -234,15 +234,15 @@ class SplatScene:
         name, folder = f"{view.name}/{frame}.png", self.folder / view.kind
         write_image(folder / "images" / name, image if view.images is None else view.images(image))
         write_mask(folder / "masks" / name, view.seen)
-        shown = view.maps(maps, valid)
-        valid = view.seen & (view.maps(valid[None].float())[0] > 0.5) & (shown[0] > 0)
-        depth = 1 / shown[0].where(valid, 1.0)
+        visible = view.maps(maps, valid)
+        valid = view.seen & (view.maps(valid[None].float())[0] > 0.5) & (visible[0] > 0)
+        depth = 1 / visible[0].where(valid, 1.0)
         if isinstance(view.camera, PinholeCamera):
             depth = z_from_depth(depth, view.camera)[0]
         steps = (MILLIMETRES * depth).round()
         valid = valid & (steps < 2**16)
         write_pages(folder / "depth" / name, [steps.where(valid, 0).numpy().astype(np.uint16)])
-        normals = F.normalize((shown[1:].movedim(0, -1) @ view.pose[:3, :3].float()), dim=-1)
+        normals = F.normalize((visible[1:].movedim(0, -1) @ view.pose[:3, :3].float()), dim=-1)
         shades = (255 * (normals + 1) / 2).round() * valid[..., None]
         write_image(folder / "normals" / name, shades.byte().numpy())
 
@@ -251,12 +251,12 @@ def _seen_from(depth: Depth, camera: Camera, pose: Tensor, surface: Tensor) -> t
     """Inverse range and normals in the camera's frame ``(4, h, w)``, and where they count ``(h, w)``."""
     measured = depth.camera(camera, pose).measured.cpu()
     points, valid = points_from_depth(measured, camera)
-    turn = pose[:3, :3].float()
-    directions = F.normalize(points @ turn.mT + (pose[:3, 3] - depth.rig.center.cpu()), dim=-1)
+    rotation = pose[:3, :3].float()
+    directions = F.normalize(points @ rotation.mT + (pose[:3, 3] - depth.rig.center.cpu()), dim=-1)
     values, _ = depth.network.index_at(surface, directions.reshape(-1, 3))
     values = values.cpu().unflatten(1, camera.image_size)
     valid = valid & (values[3] > 0.5)
-    normals = (values[:3].movedim(0, -1) @ turn).movedim(-1, 0)
+    normals = (values[:3].movedim(0, -1) @ rotation).movedim(-1, 0)
     return torch.cat((1 / measured.where(valid, 1.0)[None], normals)), valid
 
 
@@ -272,7 +272,7 @@ def _sighted(
     rows = valid.nonzero()[:, 0]
     column, row = pixels[rows].round().long().unbind(-1)
     height, width = camera.image_size
-    shown = steps[row.clamp(0, height - 1), column.clamp(0, width - 1)] / MILLIMETRES
+    visible = steps[row.clamp(0, height - 1), column.clamp(0, width - 1)] / MILLIMETRES
     distance = local[rows, 2] if isinstance(camera, PinholeCamera) else local[rows].norm(dim=-1)
-    agree = (shown - distance).abs() <= AGREES * distance
+    agree = (visible - distance).abs() <= AGREES * distance
     return pixels[rows][agree].numpy(), rows[agree].numpy()

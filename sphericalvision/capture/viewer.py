@@ -170,7 +170,7 @@ class Timeline:
         facts = "evenly in 1/m; greyer where less sure, grey where fewer than two cameras look"
         if self._frames and len(self._frames[0]["pictures"]) > 3:
             facts += f"; error: black 0, yellow {MOST_ERROR:.0f} % of N and more"
-        parts = {
+        values = {
             "TITLE": html.escape(self.title),
             "FACTS": facts,
             "NEAR": f"{near:.3g} m",
@@ -184,7 +184,7 @@ class Timeline:
         }
         template = (HERE / "viewer.html").read_text(encoding="utf-8")
         # In one pass, so that nothing that comes from elsewhere is taken for a place of the template.
-        page = re.sub("__([A-Z]+)__", lambda place: parts[place[1]], template)
+        page = re.sub("__([A-Z]+)__", lambda place: values[place[1]], template)
         write_bytes(
             path, page.encode(errors="replace")
         )  # a title may be the name of a file in another encoding

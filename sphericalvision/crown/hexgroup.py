@@ -90,8 +90,8 @@ def hex_group_conv2d(
         raise ShapeError(f"weight: expected shape (out, in, 6, 7), got {tuple(weight.shape)}")
     turned = [kernel.roll(k, 2) for k, kernel in enumerate(_turns(weight))]
     kernels = torch.stack(turned, 1).flatten(2, 3).flatten(0, 1)
-    found = hex_conv2d(values.flatten(1, 2), kernels, None, stride, north)
-    return found.unflatten(1, (-1, ORIENTATIONS))
+    result = hex_conv2d(values.flatten(1, 2), kernels, None, stride, north)
+    return result.unflatten(1, (-1, ORIENTATIONS))
 
 
 def _turns(weight: Tensor) -> list[Tensor]:

@@ -113,10 +113,10 @@ def set_kernel_options(module: nn.Module, *, recompute: bool) -> None:
         >>> recomputes(block)
         True
     """
-    parts = [part for part in module.modules() if isinstance(part, RecomputedModule)]
-    if recompute and not parts:
+    modules = [part for part in module.modules() if isinstance(part, RecomputedModule)]
+    if recompute and not modules:
         raise ArgumentError(f"recompute: {type(module).__name__} has nothing to choose there; leave it out")
-    for part in parts:
+    for part in modules:
         part.recompute = recompute
 
 

@@ -37,8 +37,8 @@ def normalize(col: Tensor, row: Tensor, norm: CrownNorm, relu: bool) -> Pair:
     if norm.groups > 1:
         return _by_group(col, row, norm, relu)
     # Both kinds of rectangle have as many places: with the places in one dimension they are one batch.
-    both: Any = _BatchNorm.forward(norm, torch.cat([x.flatten(0, 1).flatten(-2) for x in (col, row)]))
-    first, second = (both.relu() if relu else both).chunk(
+    joined: Any = _BatchNorm.forward(norm, torch.cat([x.flatten(0, 1).flatten(-2) for x in (col, row)]))
+    first, second = (joined.relu() if relu else joined).chunk(
         2
     )  # unlike unbind, its gradient keeps channels innermost
     return first.view(col.shape), second.view(row.shape)

@@ -81,9 +81,9 @@ def icosphere_voronoi_solid_angles(
     )  # middles of the edges from each corner to the next
     before = after.roll(1, 1)
     # From each corner to the middle of an edge, the circumcentre, and the middle of the other edge.
-    shares = _triangle_solid_angles(corners, after, center) + _triangle_solid_angles(corners, center, before)
-    total = shares.new_zeros(num_icosphere_vertices(level))
-    total.index_add_(0, faces.flatten(), shares.flatten())
+    areas = _triangle_solid_angles(corners, after, center) + _triangle_solid_angles(corners, center, before)
+    total = areas.new_zeros(num_icosphere_vertices(level))
+    total.index_add_(0, faces.flatten(), areas.flatten())
     return total.to(dtype or torch.get_default_dtype())
 
 

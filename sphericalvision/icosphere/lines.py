@@ -76,10 +76,10 @@ def _turns_of_the_pole(level: int, device: torch.device | str | None) -> list[Te
     """Return where each vertex goes ``(V,)`` in six rotations that take the north pole to the upper hemisphere."""
     vertices = icosphere_vertices(level, torch.float64, device)
     corners = icosahedron_rectangles(torch.float64, device)
-    turns = [torch.arange(len(vertices), device=device)]
+    rotations = [torch.arange(len(vertices), device=device)]
     for pole, corner in zip(corners[:, 0, 0], corners[:, 1, 0], strict=True):
-        middle = F.normalize(pole + corner, dim=0)  # half a turn about it swaps the two
-        turned = 2 * (vertices @ middle)[:, None] * middle - vertices
+        axis = F.normalize(pole + corner, dim=0)  # half a turn about it swaps the two
+        turned = 2 * (vertices @ axis)[:, None] * axis - vertices
         ids, weights = locate(turned, level)
-        turns.append(ids.gather(1, weights.argmax(1, keepdim=True)).squeeze(1))
-    return turns
+        rotations.append(ids.gather(1, weights.argmax(1, keepdim=True)).squeeze(1))
+    return rotations

@@ -59,9 +59,9 @@ def _find_by_descent(rays: Tensor, level: int) -> tuple[Tensor, Tensor]:
 
 
 def _find_by_cells(rays: Tensor, level: int) -> tuple[Tensor, Tensor]:
-    triangles, shares = find_triangles(rays, triangle_table(level, rays.dtype, rays.device))
-    shares = shares.clamp_(min=0)
-    return triangles, shares.div_(shares.sum(0))
+    triangles, weights = find_triangles(rays, triangle_table(level, rays.dtype, rays.device))
+    weights = weights.clamp_(min=0)
+    return triangles, weights.div_(weights.sum(0))
 
 
 def _find_in_few_steps(rays: Tensor, level: int) -> tuple[Tensor, Tensor]:

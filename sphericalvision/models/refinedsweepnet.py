@@ -94,8 +94,8 @@ class RefinedTables(NamedTuple):
 
     def to(self, device: torch.device | str) -> RefinedTables:
         """Return the tables on another device."""
-        parts = (self.sweep, self.prior, self.offsets, self.seen)
-        return RefinedTables(*(part.to(device) for part in parts))  # type: ignore[arg-type]
+        fields = (self.sweep, self.prior, self.offsets, self.seen)
+        return RefinedTables(*(part.to(device) for part in fields))  # type: ignore[arg-type]
 
 
 class RefinedSweepNet(DepthNetwork):
@@ -273,11 +273,11 @@ class RefinedSweepNet(DepthNetwork):
         with torch.no_grad():
             evidence, cost = semi_global_costs(images, tables.sweep.sweep, seen)
         mean, best, cameras = evidence.unbind(1)
-        places = _spread_over(cameras.shape[1], images.device)
+        indices = _spread_over(cameras.shape[1], images.device)
         cost = cost - cost.amin(1, keepdim=True)
         swept = self.prior.sweep(self.prior.extract_features(images), tables.prior, seen)
         prior = self.prior.regularizer(self.prior.aggregation(swept))
-        return SweepClues(cost, best, mean[:, ::2], cameras.index_select(1, places), prior)
+        return SweepClues(cost, best, mean[:, ::2], cameras.index_select(1, indices), prior)
 
     def fuse(
         self,

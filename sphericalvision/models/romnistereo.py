@@ -124,8 +124,8 @@ class RomniStereo(DepthNetwork):
         coarse = F.avg_pool2d(index.detach()[:, None], 2).squeeze(1) / self.sweep.every
         sphere = coarse.round().long().clamp(max=tables.seen.shape[-3] - 1)
         views = self.sweep.seen(tables.at_spheres(sphere), seen).squeeze(-3).sum(-3)
-        both = (views >= 2).repeat_interleave(2, -2).repeat_interleave(2, -1)
-        return DepthEstimate(index, 1 / (1 + moved), both)
+        joined = (views >= 2).repeat_interleave(2, -2).repeat_interleave(2, -1)
+        return DepthEstimate(index, 1 / (1 + moved), joined)
 
     def training_loss(
         self,
@@ -165,9 +165,9 @@ class RomniStereo(DepthNetwork):
             self.sweep.camera_values(features, tables, camera).movedim(2, -1)
             for camera, features in enumerate(maps.unbind(1))
         ]
-        places = tables.grid.to(maps.dtype)
-        places = places.expand(len(maps), *places.shape[-5:]).movedim(-1, 2).movedim(3, -1)
-        front, right, back, left = places.unbind(1)
+        coordinates = tables.grid.to(maps.dtype)
+        coordinates = coordinates.expand(len(maps), *coordinates.shape[-5:]).movedim(-1, 2).movedim(3, -1)
+        front, right, back, left = coordinates.unbind(1)
         return self.reference(swept[0], swept[2], front, back), self.target(swept[1], swept[3], right, left)
 
     def refined(
@@ -186,10 +186,10 @@ class RomniStereo(DepthNetwork):
         for _ in range(self.iterations):
             # Each iteration learns its own step alone, as in RAFT: where it began is taken as it is.
             index = index.detach()
-            near = [
+            neighbors = [
                 at_hypotheses(values, index.unsqueeze(-1) / 2**k + window) for k, values in enumerate(scales)
             ]
-            clues = torch.cat(near, -1).squeeze(1).movedim(-1, 1)
+            clues = torch.cat(neighbors, -1).squeeze(1).movedim(-1, 1)
             last = reference.shape[-1] - 1
             context = at_hypotheses(reference, index.clamp(0, last).unsqueeze(-1)).squeeze(-1)
             state, step, weights = self.update(state, clues, context, index)
@@ -205,15 +205,15 @@ class AlignedSweep(PanoramaSweep):
 
     def _normalized(self, pixels: Tensor, seen: Tensor, image_size: tuple[int, int]) -> Tensor:
         last = pixels.new_tensor([image_size[1] - 1, image_size[0] - 1])
-        places = torch.minimum(pixels.clamp(min=0), last)
-        return torch.where(seen.unsqueeze(-1), 2 * places / last - 1, self.OUT_OF_VIEW)
+        coordinates = torch.minimum(pixels.clamp(min=0), last)
+        return torch.where(seen.unsqueeze(-1), 2 * coordinates / last - 1, self.OUT_OF_VIEW)
 
     def camera_values(
         self, features: Float[Tensor, "B C h_f w_f"], tables: PanoramaTables, camera: int
     ) -> Float[Tensor, "B C D h w"]:
         grid = tables.grid[..., camera, :, :, :, :].to(features.dtype)
-        places = grid.flatten(-4, -3).expand(len(features), -1, -1, 2)
-        values = F.grid_sample(features, places, padding_mode="zeros", align_corners=True)
+        coordinates = grid.flatten(-4, -3).expand(len(features), -1, -1, 2)
+        values = F.grid_sample(features, coordinates, padding_mode="zeros", align_corners=True)
         return values.unflatten(2, grid.shape[-4:-2])
 
 
@@ -267,8 +267,8 @@ class Update(nn.Module):
             )
         motion = F.relu(self.motion(torch.cat((correlation_features, index_features), 1)))
         inputs = torch.cat((F.relu(context), motion, index), 1)
-        both = torch.cat((state, inputs), 1)
-        keep, reset = torch.sigmoid(self.keep(both)), torch.sigmoid(self.reset(both))
+        joined = torch.cat((state, inputs), 1)
+        keep, reset = torch.sigmoid(self.keep(joined)), torch.sigmoid(self.reset(joined))
         proposal = torch.tanh(self.proposal(torch.cat((reset * state, inputs), 1)))
         state = torch.lerp(state, proposal, keep)
         step = self.step[1](F.relu(self.step[0](state))).squeeze(1)
@@ -286,11 +286,11 @@ def at_hypotheses(
         tensor([2.0000, 1.5000, 0.0000])
     """
     padded = F.pad(values, (1, 1))  # a hypothesis of zeros at either end
-    place = (index + 1).clamp(0, padded.shape[-1] - 1)
-    below = place.detach().floor().clamp(max=padded.shape[-1] - 2)
-    share = (place - below).unsqueeze(1)
+    position = (index + 1).clamp(0, padded.shape[-1] - 1)
+    below = position.detach().floor().clamp(max=padded.shape[-1] - 2)
+    fraction = (position - below).unsqueeze(1)
     below = below.long().unsqueeze(1).expand(-1, values.shape[1], -1, -1, -1)
-    return torch.lerp(padded.gather(-1, below), padded.gather(-1, below + 1), share)
+    return torch.lerp(padded.gather(-1, below), padded.gather(-1, below + 1), fraction)
 
 
 def upsampled(

@@ -225,10 +225,10 @@ def named_aggregation(
     """
     if isinstance(aggregation, Aggregation):
         return aggregation
-    made = AGGREGATIONS.find(aggregation) if isinstance(aggregation, str) else None
-    if made is None:
+    factory = AGGREGATIONS.find(aggregation) if isinstance(aggregation, str) else None
+    if factory is None:
         check_choice("aggregation", aggregation, AGGREGATIONS.names())
-    assert made is not None
+    assert factory is not None
     offered = {"channels": channels, "num_cameras": num_cameras, "shuffle": shuffle}
-    wanted = inspect.signature(made).parameters
-    return made(**{name: value for name, value in offered.items() if name in wanted})
+    parameters = inspect.signature(factory).parameters
+    return factory(**{name: value for name, value in offered.items() if name in parameters})

@@ -36,10 +36,10 @@ def local_appearance(
         raise ShapeError(f"images: expected shape (*, 3, V), got {tuple(images.shape)}")
     grid = Icosphere(level_from_num_vertices(images.shape[-1]), images.dtype, images.device)
     ids = grid.neighbors.clamp(min=0)
-    known = grid.neighbors >= 0
+    valid = grid.neighbors >= 0
     if seen is not None:
-        known = known & seen[..., ids]
-    present = known.to(images.dtype)
+        valid = valid & seen[..., ids]
+    present = valid.to(images.dtype)
     count = present.sum(-1)
     brightness = images.mean(-2)
     around = (brightness[..., ids] - brightness[..., None]) * present

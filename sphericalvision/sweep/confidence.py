@@ -48,19 +48,19 @@ def sweep_confidence(
         >>> bool(bare.max() < 0.1), bool(clear.min() > 0.9)
         (True, True)
     """
-    tried = torch.arange(cost.shape[1], dtype=index.dtype, device=cost.device)[:, None]
+    hypotheses = torch.arange(cost.shape[1], dtype=index.dtype, device=cost.device)[:, None]
     winner = index.round()[:, None]
     at_winner = cost.gather(1, winner.long())
-    far = (tried - winner).abs() > 1.5 * substeps
+    far = (hypotheses - winner).abs() > 1.5 * substeps
     margin = (cost - at_winner).where(far, torch.inf).amin(1)
     neighbors = icosphere_neighbors(level_from_num_vertices(cost.shape[-1]), cost.device)
     farthest, nearest = index, index
     for _ in range(2):
         farthest, nearest = _most_around(farthest, neighbors), -_most_around(-nearest, neighbors)
     spread = (farthest - nearest) / substeps
-    told = WEIGHT_OF_MARGIN * margin.clamp(1e-6, 1e6).log() + WEIGHT_OF_SPREAD * (spread + 0.15).log()
+    logit = WEIGHT_OF_MARGIN * margin.clamp(1e-6, 1e6).log() + WEIGHT_OF_SPREAD * (spread + 0.15).log()
     contrast = ring_mean(correlation.T).T / LEAST_CORRELATION
-    return (BIAS + told).sigmoid() * contrast.clamp(0, 1)
+    return (BIAS + logit).sigmoid() * contrast.clamp(0, 1)
 
 
 def _most_around(values: Tensor, neighbors: Tensor) -> Tensor:

@@ -160,8 +160,8 @@ class PanoramaSweep(PlacesInSinglePrecision):
         """Places (*, 2) on the maps, as grid_sample counts them."""
         height, width = map_size(image_size, self.stride)
         size = pixels.new_tensor([width, height])
-        places = torch.minimum((pixels / self.stride).clamp(min=0), size - 1)
-        return torch.where(seen.unsqueeze(-1), (2 * places + 1) / size - 1, OUTSIDE)
+        coordinates = torch.minimum((pixels / self.stride).clamp(min=0), size - 1)
+        return torch.where(seen.unsqueeze(-1), (2 * coordinates + 1) / size - 1, OUTSIDE)
 
     def camera_values(
         self, features: Float[Tensor, "B C h_f w_f"], tables: PanoramaTables, camera: int
@@ -169,9 +169,9 @@ class PanoramaSweep(PlacesInSinglePrecision):
         """Values ``(B, C, D, h, w)`` of the maps ``(B, C, h_f, w_f)`` of one camera; zero out of view."""
         grid = tables.grid[..., camera, :, :, :, :]
         spheres, rows, columns = grid.shape[-4:-1]
-        places = grid.to(features.dtype).reshape(-1, spheres * rows, columns, 2)
-        places = places.expand(len(features), *places.shape[1:])
-        values = F.grid_sample(features, places, padding_mode="zeros", align_corners=False)
+        coordinates = grid.to(features.dtype).reshape(-1, spheres * rows, columns, 2)
+        coordinates = coordinates.expand(len(features), *coordinates.shape[1:])
+        values = F.grid_sample(features, coordinates, padding_mode="zeros", align_corners=False)
         return values.unflatten(2, (spheres, rows))
 
     def forward(

@@ -91,8 +91,8 @@ def photo_consistency(
     grid = Icosphere(image_level if aggregation else level, sphere_images.dtype, sphere_images.device)
     seen = seen_in_view(rig, image_level).to(sphere_images.device) if seen is None else seen
     seen = check_seen(seen, sphere_images)
-    shown = seen.to(sphere_images)[:, :, None]
-    features = torch.cat((local_appearance(sphere_images, seen) * shown, shown), 2)
+    visible = seen.to(sphere_images)[:, :, None]
+    features = torch.cat((local_appearance(sphere_images, seen) * visible, visible), 2)
     costs = []
     for inverse_depth in inverse_depth_hypotheses(num_hypotheses, min_depth, device=grid.vertices.device):
         tables = sweep_tables(grid.vertices, inverse_depth[None], rig, image_level)
@@ -105,9 +105,9 @@ def photo_consistency(
     cost = cost[..., ids_of_coarser_level(grid.level, level, cost.device)]
     finite = cost.isfinite()
     mean = torch.where(finite, cost, 0.0).sum(1) / finite.sum(1).clamp(min=1)
-    known = finite.any(1)
-    confidence = torch.where(known, 1 - cost.amin(1) / mean.clamp(min=1e-12), 0.0).clamp(0, 1)
-    return DepthEstimate(winner_takes_all(cost, subhypothesis), confidence, known)
+    valid = finite.any(1)
+    confidence = torch.where(valid, 1 - cost.amin(1) / mean.clamp(min=1e-12), 0.0).clamp(0, 1)
+    return DepthEstimate(winner_takes_all(cost, subhypothesis), confidence, valid)
 
 
 def deviation_cost(values: Float[Tensor, "B n C V"], seen: Bool[Tensor, "B n V"]) -> Float[Tensor, "B V"]:

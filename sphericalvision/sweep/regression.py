@@ -89,8 +89,8 @@ def soft_argmax_confidence(logits: Float[Tensor, "*batch N V"]) -> Float[Tensor,
         tensor([1.])
     """
     probability = _probabilities(logits)
-    near = (_index(probability) - _expectation(probability).floor().unsqueeze(-2) - 0.5).abs() < 2
-    return (probability * near).sum(-2)
+    is_near_mode = (_index(probability) - _expectation(probability).floor().unsqueeze(-2) - 0.5).abs() < 2
+    return (probability * is_near_mode).sum(-2)
 
 
 def _probabilities(logits: Tensor) -> Tensor:

@@ -49,8 +49,8 @@ def coarser_images(
         (torch.Size([1, 2, 3, 42]), tensor([1.]), tensor(True))
     """
     level = level_from_num_vertices(images.shape[-1])
-    shown = seen[:, :, None].to(images)
-    means = ring_mean(torch.cat((images * shown, shown), 2).permute(3, 0, 1, 2), level - 1).permute(
+    visible = seen[:, :, None].to(images)
+    means = ring_mean(torch.cat((images * visible, visible), 2).permute(3, 0, 1, 2), level - 1).permute(
         1, 2, 3, 0
     )
     coarse_seen = seen[..., ids_of_coarser_level(level, level - 1, images.device)]

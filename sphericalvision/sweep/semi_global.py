@@ -240,17 +240,17 @@ def semi_global_costs(
     images = in_single_precision(images)
     evidence = correlation_evidence(images, tables, seen, noise=noise)
     _, best, cameras = evidence.unbind(1)
-    known = cameras >= 2
+    valid = cameras >= 2
     # What two cameras do not see speaks neither for nor against: it costs as much as what they see on average.
-    count = known.sum(1, keepdim=True)
+    count = valid.sum(1, keepdim=True)
     cost = 1 - best
-    average = cost.masked_fill(~known, 0.0).sum(1, keepdim=True) / count.clamp(min=1)
-    cost = torch.where(known, cost, average.masked_fill(count == 0, 1.0))
-    winner = cost.masked_fill(~known, torch.inf).min(1).indices  # as argmin, which takes four times as long
+    average = cost.masked_fill(~valid, 0.0).sum(1, keepdim=True) / count.clamp(min=1)
+    cost = torch.where(valid, cost, average.masked_fill(count == 0, 1.0))
+    winner = cost.masked_fill(~valid, torch.inf).min(1).indices  # as argmin, which takes four times as long
     # Nobody has photographed what is seen from the centre, whose colours say where depth may jump: they are looked up
     # at the hypothesis that costs least before it is smoothed.
-    shown = torch.ones_like(images[:, :, 0]) if seen is None else check_seen(seen, images).to(images)
-    guide = _colors_at(images, shown, tables, winner)
+    visible = torch.ones_like(images[:, :, 0]) if seen is None else check_seen(seen, images).to(images)
+    guide = _colors_at(images, visible, tables, winner)
     return SmoothedCosts(evidence, semi_global_smoothing(cost, small_penalty, large_penalty, guide, contrast))
 
 
@@ -258,12 +258,12 @@ def _colors_at(images: Tensor, shown: Tensor, tables: SweepTables, winner: Tenso
     """Mean ``(B, C, V)`` over the cameras that see it of the colours at hypotheses ``(B, V)``."""
     batch, _, channels, _ = images.shape
     # One entry of the tables a vertex is picked before the sweep, which else would look colours up at all hypotheses.
-    place = winner[:, None, :, None]
+    best = winner[:, None, :, None]
     chosen = []
     for table in (tables.ids, tables.weights, tables[2].unsqueeze(-1)):
         entries = table.view(-1, *table.shape[-4:])
         entries = entries.expand(batch, *entries.shape[1:])
-        chosen.append(entries.gather(1, place[..., None].expand(-1, -1, -1, *entries.shape[-2:])))
+        chosen.append(entries.gather(1, best[..., None].expand(-1, -1, -1, *entries.shape[-2:])))
     at_winner = SweepTables(chosen[0], chosen[1], chosen[2].squeeze(-1))
     # Weights are swept along with the colours and divided out, so that what is masked does not darken its neighbours.
     features = torch.cat((images * shown[:, :, None], shown[:, :, None]), 2)

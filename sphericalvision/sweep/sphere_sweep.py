@@ -92,8 +92,8 @@ def _points_seen(seen: Tensor, tables: SweepTables) -> Tensor:
     """Whether more than half of what is looked up at a point was seen, ``([B,] N, V, n)``, of seen ``(B, n, V_f)``."""
     if tables.seen.ndim == 4:
         seen = seen.expand(len(tables.seen), *seen.shape[1:])
-    share = _look_up(seen.unsqueeze(2).to(tables.weights), tables)[:, :, 0].permute(0, 2, 3, 1)
-    return tables.seen & (share > 0.5)
+    fraction = _look_up(seen.unsqueeze(2).to(tables.weights), tables)[:, :, 0].permute(0, 2, 3, 1)
+    return tables.seen & (fraction > 0.5)
 
 
 def _look_up(features: Tensor, tables: SweepTables) -> Tensor:

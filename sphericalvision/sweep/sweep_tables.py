@@ -223,8 +223,8 @@ def _differentiable_weights(
     """Weights ``(N, V, n, 3)`` of the triangles in view, differentiable in rays."""
     in_view = seen.flatten().nonzero()[:, 0]
     rays = points.rays(slice(None), slice(None)).flatten(1).index_select(1, in_view)
-    shares = locator.weights(rays, triangles)
-    return shares.new_zeros(seen.numel(), 3).index_copy(0, in_view, shares.T).view(*seen.shape, 3)
+    weights = locator.weights(rays, triangles)
+    return weights.new_zeros(seen.numel(), 3).index_copy(0, in_view, weights.T).view(*seen.shape, 3)
 
 
 def _limits(max_angles: Tensor) -> Tensor:

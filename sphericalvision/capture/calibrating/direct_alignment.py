@@ -265,10 +265,10 @@ class _Problem:
         for one, other in combinations(range(len(samples)), 2):
             difference = samples[one].values - samples[other].values
             square = difference.square().sum(1)
-            both = self.trust * (samples[one].valid & samples[other].valid)
-            agreed += float((both / (1 + square)).sum())
-            compared += float(both.sum())
-            weight = both / (1 + square).square()
+            overlap = self.trust * (samples[one].valid & samples[other].valid)
+            agreed += float((overlap / (1 + square)).sum())
+            compared += float(overlap.sum())
+            weight = overlap / (1 + square).square()
             columns = torch.cat((samples[one].by_turn, -samples[other].by_turn))  # (6, F, c, V)
             weighted = columns * weight.unsqueeze(1)
             parameters = torch.tensor([3 * camera + axis for camera in (one, other) for axis in range(3)])
@@ -279,7 +279,7 @@ class _Problem:
             mixed[parameters] += (weighted * by_depth).sum(2)
             depth_curve += (by_depth.square().sum(1)) * weight
             depth_slope += (by_depth * difference).sum(1) * weight
-            typical.append(square[both > 0])
+            typical.append(square[overlap > 0])
         hold = _HOLD * depth_curve.mean() + 1e-9
         depth_curve, depth_slope = depth_curve + hold, depth_slope + hold * moved
         curve -= ((mixed / depth_curve).flatten(1) @ mixed.flatten(1).mT).double()

@@ -50,8 +50,8 @@ def rightness(turns: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
         >>> rightness(torch.tensor([[0.0, 0.0, 0.0], [0.0001, 0.0, 0.0], [0.02, 0.0, 0.0]])).round(decimals=2)
         tensor([1.0000, 0.9900, 0.0000])
     """
-    away = turns.square().sum(-1)
-    return 1 / (1 + away / max(float(away.median()), _NONE**2))
+    squared_angles = turns.square().sum(-1)
+    return 1 / (1 + squared_angles / max(float(squared_angles.median()), _NONE**2))
 
 
 def about_most(turns: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:

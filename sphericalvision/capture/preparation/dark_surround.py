@@ -95,20 +95,20 @@ def dark_beyond(
     angles = torch.atan2(directions[..., :2].norm(dim=-1), directions[..., 2])
     rings = (angles[valid] / STEP).long()
     counts = rings.bincount(minlength=1)
-    shares, bright = (
+    fractions, bright = (
         rings.bincount((brightest[valid] > limit).double()) / counts.clamp(min=1) for limit in (DARK, BRIGHT)
     )
     # The last ring with few pixels is a part of its neighbour.
-    shares = (
-        shares[: int((counts >= FEWEST).nonzero().max()) + 1]
+    fractions = (
+        fractions[: int((counts >= FEWEST).nonzero().max()) + 1]
         if bool((counts >= FEWEST).any())
-        else shares[:0]
+        else fractions[:0]
     )
-    inside = (shares >= 0.5).nonzero()
+    inside = (fractions >= 0.5).nonzero()
     edge = int(inside.max()) if len(inside) else 0
-    beyond = shares[edge + BLURRED :]
-    if edge < RINGS or len(beyond) < DARK_RINGS or float(beyond.max()) > OUTSIDE:
+    outside = fractions[edge + BLURRED :]
+    if edge < RINGS or len(outside) < DARK_RINGS or float(outside.max()) > OUTSIDE:
         return None
     if float(bright[edge - RINGS : edge].mean()) < INSIDE:
         return None
-    return (edge + float(shares[edge] > 0.9)) * STEP
+    return (edge + float(fractions[edge] > 0.9)) * STEP

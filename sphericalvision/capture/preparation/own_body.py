@@ -86,10 +86,10 @@ class OwnBody(NamedTuple):
     def described(self) -> list[str]:
         """Return a line for each camera."""
         why = f" ({self.reason or 'no body was seen'})"
-        shares = self.shares.items()
+        fractions = self.shares.items()
         return [
             f"mask of {name}: {100 * share:.1f} % of its picture{'' if share else why}"
-            for name, share in shares
+            for name, share in fractions
         ]
 
 
@@ -145,14 +145,14 @@ def find_own_body(
     if covered > TOO_MUCH * seen:
         number = f"{100 * covered / seen:.0f} % of the images stand still"
         return _nothing(rig, len(views), f"{number}: the rig must move farther, and turn")
-    masks, shares = {}, {}
+    masks, fractions = {}, {}
     for name, body in bodies.items():
         size = rig.cameras[name].image_size
         large = F.interpolate(torch.from_numpy(body)[None, None].float(), size, mode="bilinear")[0, 0] > 0.5
         free = (~large).to(rig.world_from_camera.device)
         masks[name] = free & rig.masks[name] if name in rig.masks else free
-        shares[name] = float(body.sum() / max(1, cameras[name].seen.sum()))
-    return OwnBody(masks, shares, len(views), "" if covered else "no body was seen")
+        fractions[name] = float(body.sum() / max(1, cameras[name].seen.sum()))
+    return OwnBody(masks, fractions, len(views), "" if covered else "no body was seen")
 
 
 class _CameraEdges:
@@ -176,13 +176,13 @@ class _CameraEdges:
     def grey(self, image: Tensor) -> Floats:
         """A small grey image, its border continued beyond the field of view, its median brought to one value."""
         grey = image.detach().float().mean(0).cpu()
-        shown: Floats = cv2.resize(grey.numpy(), self.size[::-1], interpolation=cv2.INTER_AREA).astype(
+        resized: Floats = cv2.resize(grey.numpy(), self.size[::-1], interpolation=cv2.INTER_AREA).astype(
             np.float32
         )
         if not self.inside.any():
-            return shown
-        return self.continued(shown) * np.float32(
-            MEAN_VALUE / max(float(np.median(shown[self.inside])), 0.05)
+            return resized
+        return self.continued(resized) * np.float32(
+            MEAN_VALUE / max(float(np.median(resized[self.inside])), 0.05)
         )
 
     def continued(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -248,9 +248,9 @@ class _CameraEdges:
         border = self.inside & ~_eroded(self.inside, 3)
         quiet, beyond = ~self.moving & ~_dilated(edges, 1), self.continued(parts)
         for part in range(1, count):
-            here = parts == part
-            if not (here & border).any() or (quiet & (beyond == part)).sum() < STILL_SHARE * here.sum():
-                body &= ~here
+            region = parts == part
+            if not (region & border).any() or (quiet & (beyond == part)).sum() < STILL_SHARE * region.sum():
+                body &= ~region
         if not body.any():
             return nothing
         return _dilated(self.continued(body.astype(np.uint8)) > 0, margin) & self.seen
@@ -259,7 +259,7 @@ class _CameraEdges:
 def _far(rig: CameraRig, cameras: Mapping[str, _CameraEdges], name: str) -> Bools:
     """Where another camera shows the same at one of the distances of what is no part of the rig."""
     camera, far = rig.cameras[name], np.zeros(cameras[name].size, bool)
-    here, place = cameras[name].median, rig.names.index(name)
+    region, place = cameras[name].median, rig.names.index(name)
     directions = camera.unproject(camera.pixel_grid()).directions
     for other_place, other in enumerate(rig.names):
         if other_place == place:
@@ -273,7 +273,7 @@ def _far(rig: CameraRig, cameras: Mapping[str, _CameraEdges], name: str) -> Bool
             x, y = pixels.float().cpu().movedim(-1, 0).contiguous().numpy()
             warped: Any = cv2.remap(cameras[other].median, x, y, cv2.INTER_LINEAR)
             inside = cv2.remap(cameras[other].inside.astype(np.uint8), x, y, cv2.INTER_NEAREST) > 0
-            far |= _eroded(inside & valid.cpu().numpy(), 2) & (_likeness(here, warped) > FAR_LIKENESS)
+            far |= _eroded(inside & valid.cpu().numpy(), 2) & (_likeness(region, warped) > FAR_LIKENESS)
     return far
 
 

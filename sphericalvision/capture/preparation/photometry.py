@@ -125,9 +125,9 @@ class PhotometricCalibration(NamedTuple):
         """Return what ``corrected`` does, of the ``pixel_angles`` of the rig."""
         even = {}
         for place, (name, angle) in enumerate(angles.items()):
-            here = slice(place, place + 1)
+            window = slice(place, place + 1)
             one = self._replace(
-                exposure=self.exposure[here], falloff=self.falloff[here], edge=self.edge[here]
+                exposure=self.exposure[window], falloff=self.falloff[window], edge=self.edge[window]
             )
             even[name] = (images[name] / one.light(angle[None])[0].to(images[name])).clamp(0, 1)
         return even
@@ -173,11 +173,11 @@ def pixel_angles(rig: CameraRig) -> dict[str, Float[Tensor, "_ _"]]:
 
 def _of_cameras(rig: CameraRig, make: Callable[[str], Made]) -> dict[str, Made]:
     """By name what is made of each camera, once of one that stands in several places, as in most rigs."""
-    made: dict[int, Made] = {}
+    cache: dict[int, Made] = {}
     for name, camera in rig.cameras.items():
-        if id(camera) not in made:
-            made[id(camera)] = make(name)
-    return {name: made[id(camera)] for name, camera in rig.cameras.items()}
+        if id(camera) not in cache:
+            cache[id(camera)] = make(name)
+    return {name: cache[id(camera)] for name, camera in rig.cameras.items()}
 
 
 def calibrate_photometry(
@@ -313,14 +313,14 @@ class _Points:
             for place, camera in enumerate(rig.cameras.values())
         ]
         # Near the border of its view a camera sees a part of a pixel only.
-        shares = [
+        weights = [
             look(inside[name][None].float()) for look, name in zip(self.lookups, rig.names, strict=True)
         ]
-        self.share = torch.stack(shares).flatten(1)
+        self.share = torch.stack(weights).flatten(1)
         usable = self.share > 0.99
         # Of each two cameras that both see some point: their numbers, and which points these are.
-        both = (usable[:, None] & usable).any(-1)
-        self.one, self.other = both.tril(-1).nonzero().unbind(1)
+        overlap = (usable[:, None] & usable).any(-1)
+        self.one, self.other = overlap.tril(-1).nonzero().unbind(1)
         if not len(self.one):  # a camera and itself, which differ by nothing
             self.one = self.other = self.one.new_zeros(1)
         shared = (usable[self.one] & usable[self.other]).unflatten(-1, (self.num_depths, -1))
@@ -328,8 +328,8 @@ class _Points:
         most = max(1, int(anywhere.sum(-1).max()))
         self.columns = anywhere.byte().argsort(dim=-1, descending=True, stable=True)[:, :most]
         self.usable = self._of_pairs(shared[:, None, None].flatten(-2))  # (D, pairs, 1, points)
-        parts = (directions @ icosphere_vertices(0).to(directions).mT).argmax(-1)
-        self.parts = F.one_hot(parts, _PARTS)[self.columns].mT.double()  # (pairs, parts, points)
+        sectors = (directions @ icosphere_vertices(0).to(directions).mT).argmax(-1)
+        self.parts = F.one_hot(sectors, _PARTS)[self.columns].mT.double()  # (pairs, parts, points)
         offsets = (rig.center - rig.positions)[:, None, None].to(directions)
         rays = directions + depths[:, None, None] * offsets
         angles = angle_from_axis(rays.flatten(1, 2) @ rig.world_from_camera[:, :3, :3])

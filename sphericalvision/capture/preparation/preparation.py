@@ -188,8 +188,8 @@ class Compensator:
         """
         values = torch.cat([_spread(image) for image in images.values()], 1)
         # A CPU selects faster than it sorts; on a CUDA device selecting took a sixth of a frame, and sorting is free.
-        place = math.ceil(BRIGHT_SHARE * values.shape[1])
-        ordered = values.sort().values[:, place - 1] if values.is_cuda else values.kthvalue(place).values
+        rank = math.ceil(BRIGHT_SHARE * values.shape[1])
+        ordered = values.sort().values[:, rank - 1] if values.is_cuda else values.kthvalue(rank).values
         bright = ordered.double()
         dark = (bright > BLACK) & (bright < DARK)
         gains = (BRIGHT / bright).where(dark, 1.0)
@@ -380,9 +380,9 @@ def _bilateral_by_shifts(image: Tensor, steepness: Tensor, mode: str) -> Tensor:
             moved = padded[..., radius + down :, radius + across :][..., :height, :width]
             difference = (moved - image).abs_().sum(1, keepdim=True)
             weight = difference.square_().mul_(steepness).exp_()
-            near = math.exp(-0.5 * squared / REACH**2)
-            weights.add_(weight, alpha=near)
-            total.addcmul_(weight, moved, value=near)
+            closeness = math.exp(-0.5 * squared / REACH**2)
+            weights.add_(weight, alpha=closeness)
+            total.addcmul_(weight, moved, value=closeness)
     return total.div_(weights)
 
 
@@ -432,8 +432,8 @@ def _noise(image: Tensor, inside: Tensor | None) -> Tensor:
     down = above - 2 * middle + below
     second = down[..., :-2] - 2 * down[..., 1:-1] + down[..., 2:]
     values = middle[..., 1:-1]
-    shown = (values > DARKEST) & (values < BRIGHTEST)
+    exposed = (values > DARKEST) & (values < BRIGHTEST)
     if inside is not None:
-        shown &= inside[1 : height - 1 : step, 1:-1]
-    typical = median_of_known(second.abs().where(shown, math.nan).flatten(1))
+        exposed &= inside[1 : height - 1 : step, 1:-1]
+    typical = median_of_known(second.abs().where(exposed, math.nan).flatten(1))
     return typical.double() / (6 * 0.6745)  # by the differences' norm; of a Gaussian's median

@@ -236,8 +236,8 @@ class Bag(Recording):
         topic = self.topics[camera]
         with self._own_words():
             connections = [connection for connection in reader.connections if connection.topic == topic]
-            found = reader.messages(connections=connections, start=message.time, stop=message.time + 1)
-            connection, _, data = next(islice(found, message.number, None))
+            messages = reader.messages(connections=connections, start=message.time, stop=message.time + 1)
+            connection, _, data = next(islice(messages, message.number, None))
             content = reader.deserialize(data, connection.msgtype)
         return _picture_of(content, f"{self.path}: {topic}")
 

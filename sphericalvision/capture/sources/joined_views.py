@@ -28,8 +28,8 @@ def split_views(image: Any, rig: CameraRig) -> dict[str, Any]:
     """
     rows, columns = views_layout((image.shape[0], image.shape[1]), rig)
     height, width = image.shape[0] // rows, image.shape[1] // columns
-    places = [(row * height, column * width) for row in range(rows) for column in range(columns)]
-    views = (image[y : y + height, x : x + width] for y, x in places)
+    corners = [(row * height, column * width) for row in range(rows) for column in range(columns)]
+    views = (image[y : y + height, x : x + width] for y, x in corners)
     return dict(zip(rig.names, views, strict=True))
 
 

@@ -60,8 +60,8 @@ class Moving:
         """The window with the middle of all lengths."""
 
         def length(window: list[int]) -> float:
-            places = self.poses.positions[window]
-            return float((places - places.mean(0)).norm(dim=-1).mean())
+            positions = self.poses.positions[window]
+            return float((positions - positions.mean(0)).norm(dim=-1).mean())
 
         return self._rig(sorted(self.windows.values(), key=length)[len(self.windows) // 2])
 

@@ -188,12 +188,12 @@ def _compiler() -> tuple[str, str]:
             f"the C++ operators need a C++ compiler, such as g++; {command} was not found (CXX names another)"
         )
     try:
-        said = subprocess.run([found, "--version"], capture_output=True, timeout=BANNER)
+        banner = subprocess.run([found, "--version"], capture_output=True, timeout=BANNER)
     except (OSError, subprocess.SubprocessError) as error:
         raise MissingCompilerError(
             f"the C++ compiler {found} does not run: {error} (CXX names another)"
         ) from error
-    return found, said.stdout.decode(errors="replace")  # in whatever encoding the user has
+    return found, banner.stdout.decode(errors="replace")  # in whatever encoding the user has
 
 
 def _flags() -> list[str]:
@@ -259,17 +259,17 @@ def _compile(library: Path, before: list[str]) -> None:
     compiler, _ = _compiler()
     with tempfile.TemporaryDirectory(dir=library.parent) as name:
         objects = [Path(name) / f"{source.stem}.o" for source in SOURCES]
-        made = Path(name) / library.name
+        built = Path(name) / library.name
         _run_all(
             [*before, compiler, *_flags(), *include, "-c", str(source), "-o", str(to)]
             for source, to in zip(SOURCES, objects, strict=True)
         )
         # Threads are those of torch, in the one OpenMP that it has loaded.
         libraries = [f"-L{root / 'lib'}", "-ltorch_cpu", "-lc10", *undefined]
-        _run_all([[compiler, "-shared", *map(str, objects), *libraries, "-o", str(made)]])
+        _run_all([[compiler, "-shared", *map(str, objects), *libraries, "-o", str(built)]])
         digest = Path(name) / "digest"
-        digest.write_text(hashlib.sha256(made.read_bytes()).hexdigest())
-        for path, to in ((made, library), (digest, _digest_file(library))):
+        digest.write_text(hashlib.sha256(built.read_bytes()).hexdigest())
+        for path, to in ((built, library), (digest, _digest_file(library))):
             path.chmod(0o700)  # whatever others may do by the umask
             path.replace(to)
 

@@ -102,8 +102,8 @@ def convolve_vertices(
     if stride != 1 or (relu and torch.is_grad_enabled()) or not _operators_fit(values, weight):
         return NotImplemented
     col, row = (
-        _convolve_at(places, values, weight, bias, is_row, False, relu)
-        for is_row, places in zip(
+        _convolve_at(vertex_ids, values, weight, bias, is_row, False, relu)
+        for is_row, vertex_ids in zip(
             (False, True), vertices_at_places(level_from_num_vertices(values.shape[-1])), strict=True
         )
     )
@@ -135,8 +135,8 @@ def hexagons3d(
 
 
 def _convolve_own(values: Tensor, weight: Tensor, bias: Tensor | None, stride: int) -> Tensor:
-    places = _vertices_of_charts(level_from_num_vertices(values.shape[-1]))
-    return _convolve_at(places, values, weight, bias, False, True, False)
+    vertex_ids = _vertices_of_charts(level_from_num_vertices(values.shape[-1]))
+    return _convolve_at(vertex_ids, values, weight, bias, False, True, False)
 
 
 @constant_table
@@ -199,8 +199,8 @@ def _track(norm: CrownNorm, mean: Tensor, variance: Tensor, col: Tensor) -> None
     assert norm.num_batches_tracked is not None
     norm.num_batches_tracked.add_(1)
     rate = 1 / float(norm.num_batches_tracked) if norm.momentum is None else norm.momentum
-    places = 2 * col.numel() // col.shape[2]
+    vertex_ids = 2 * col.numel() // col.shape[2]
     # Through ``data``, as torch's own layers do it: the formulas of a batch keep the running statistics without using
     # them, and would take them for changed where a layer serves camera after camera and operators come in between.
     norm.running_mean.data.lerp_(mean[0], rate)
-    norm.running_var.data.lerp_(variance[0] * (places / (places - 1)), rate)
+    norm.running_var.data.lerp_(variance[0] * (vertex_ids / (vertex_ids - 1)), rate)

@@ -49,11 +49,11 @@ def fold(
     col: Float[Tensor, "B 5 C *N long short"], row: Float[Tensor, "B 5 C *N short long"]
 ) -> Float[Tensor, "B C *N V"]:
     """Return the mean of each vertex over all its places, as ``places.mean_over_places`` does."""
-    places = torch.cat([rectangles.flatten(-2).movedim(1, -2) for rectangles in (col, row)], -2).flatten(-2)
+    ids = torch.cat([rectangles.flatten(-2).movedim(1, -2) for rectangles in (col, row)], -2).flatten(-2)
     level = level_of_rectangles(col)
     if is_traced():
-        return mean_by_id(places, _places(level, places.device).means)
-    return _Fold.apply(places, level)  # type: ignore[no-any-return]
+        return mean_by_id(ids, _places(level, ids.device).means)
+    return _Fold.apply(ids, level)  # type: ignore[no-any-return]
 
 
 class _Places(NamedTuple):
@@ -169,9 +169,9 @@ def hexagons2d(
     if north is None:
         result = _multiply_taps(values, weight, bias, stride, CHART_RINGS)
     else:
-        both = _multiply_taps(values, *two_orientations(weight, bias), stride, NORTH_RINGS)
-        before, after = both.chunk(2, 1)
-        result = torch.lerp(before, after, _fractions(north, stride).to(both))  # of another type in autocast
+        pair = _multiply_taps(values, *two_orientations(weight, bias), stride, NORTH_RINGS)
+        before, after = pair.chunk(2, 1)
+        result = torch.lerp(before, after, _fractions(north, stride).to(pair))  # of another type in autocast
     return result if residual is None else residual + result
 
 
@@ -210,9 +210,9 @@ def hexagons_in_triton(
         return hex_conv_kernel(values, weight, bias, tables.around, tables.taps, rectify, residual)
     tables = _tap_tables(level, stride, NORTH_RINGS, values.device)
     values = values.relu() if rectify else values
-    both = hex_conv_kernel(values, *two_orientations(weight, bias), tables.around, tables.taps)
-    before, after = both.chunk(2, 1)
-    result = torch.lerp(before, after, _fractions(north, stride).to(both))
+    pair = hex_conv_kernel(values, *two_orientations(weight, bias), tables.around, tables.taps)
+    before, after = pair.chunk(2, 1)
+    result = torch.lerp(before, after, _fractions(north, stride).to(pair))
     return result if residual is None else residual + result
 
 
@@ -220,11 +220,11 @@ def hexagons_in_triton(
 def _tap_tables(level: int, stride: int, rings: Rings, device: torch.device) -> TapTables:
     number, n = num_icosphere_vertices(level), 2**level
     charts, special = chart_vertices(level, device), ring_table(level, device)
-    places = neighbor_taps(COL_TAPS)
+    ids = neighbor_taps(COL_TAPS)
     own = torch.stack(
-        [charts[:, place // 3 : place // 3 + 2 * n, place % 3 : place % 3 + n] for place in places], -1
+        [charts[:, place // 3 : place // 3 + 2 * n, place % 3 : place % 3 + n] for place in ids], -1
     )
-    order = torch.tensor([sum(COL_TAPS, ())[place] for place in places], device=device)
+    order = torch.tensor([sum(COL_TAPS, ())[place] for place in ids], device=device)
     taps = special.new_empty(number, 7)
     taps[1:-1, order] = own.view(-1, 7)
     pole_north, a, b, pole_south = rings

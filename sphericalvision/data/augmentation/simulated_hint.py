@@ -69,11 +69,11 @@ def simulated_hint(
         """Numbers evenly spread in their logarithm."""
         return (math.log(least) + share * math.log(most / least)).exp()
 
-    shares = uniform(8).split(1, 1)  # of what a sample has once
+    fractions = uniform(8).split(1, 1)  # of what a sample has once
     nonsense, sparse, single, holed, present = (
-        value < most for value, most in zip(shares, (NONSENSE, SPARSE, SINGLE, HOLED, share), strict=False)
+        value < most for value, most in zip(fractions, (NONSENSE, SPARSE, SINGLE, HOLED, share), strict=False)
     )
-    blur, error, density = shares[5], between(*ERRORS, shares[6]), between(*DENSITIES, shares[7])
+    blur, error, density = fractions[5], between(*ERRORS, fractions[6]), between(*DENSITIES, fractions[7])
     fields = normal(2, num_icosphere_vertices(min(COARSE, level)))
     for _ in range(COARSE, level):
         fields = icosphere_upsample(fields)

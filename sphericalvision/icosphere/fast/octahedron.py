@@ -38,7 +38,7 @@ def cell_centers(resolution: int) -> Float[Tensor, "3 n"]:
         >>> cell_numbers(cell_centers(8), 8).equal(torch.arange(128, dtype=torch.int32))
         True
     """
-    middle = (torch.arange(resolution) + 0.5) * (2 / resolution) - 1
-    x, z = (middle[:, None] + middle) / 2, (middle[:, None] - middle) / 2
+    centers = (torch.arange(resolution) + 0.5) * (2 / resolution) - 1
+    x, z = (centers[:, None] + centers) / 2, (centers[:, None] - centers) / 2
     y = 1 - x.abs() - z.abs()
     return torch.stack([torch.stack(both).flatten() for both in ((x, x), (y, -y), (z, z))])

@@ -81,25 +81,25 @@ def find_triangles(
     triangles, shares = guess, coefficients(rays, guess, table)
     if rays.is_meta:  # shapes alone: nobody knows which rays lie elsewhere
         return triangles, shares
-    away = _outside(shares, table.level)
-    where, astray, now, parts = away, rays, triangles, shares
+    outside = _outside(shares, table.level)
+    where, astray, now, weights = outside, rays, triangles, shares
     # Fewer and fewer rays are astray: each round looks at those alone that are, `where` among all rays they stand.
     for _ in range(STEPS):
-        if not len(away):
+        if not len(outside):
             return triangles, shares
-        astray, parts = astray.index_select(1, away), parts.index_select(1, away)
+        astray, weights = astray.index_select(1, outside), weights.index_select(1, outside)
         # Across the edge opposite to the corner of the least coefficient: 0 where that is a's, and else 1 for b's or
         # 2 for c's. Three comparisons of whole rows, where argmin would go through columns of three one by one.
-        a, b, c = parts
+        a, b, c = weights
         least = ((b < a) | (c < a)).int().mul_((c < b).int().add_(1))
-        step = now.index_select(0, away).mul_(3).add_(least)
+        step = now.index_select(0, outside).mul_(3).add_(least)
         now = table.neighbors.index_select(0, step)
-        parts = coefficients(astray, now, table)
+        weights = coefficients(astray, now, table)
         triangles.index_copy_(0, where, now)
-        for share, part in zip(shares, parts, strict=True):
+        for share, part in zip(shares, weights, strict=True):
             share.index_copy_(0, where, part)
-        away = _outside(parts, table.level)
-        where = where.index_select(0, away)
+        outside = _outside(weights, table.level)
+        where = where.index_select(0, outside)
     unit = F.normalize(rays.index_select(1, where).T, dim=-1)
     triangles[where] = descend(unit, table.level).numbers(table.level).int()
     shares[:, where] = coefficients(rays[:, where], triangles[where], table)
@@ -124,12 +124,12 @@ def find_in_few_steps(
     slack = 8 * 2**table.level * torch.finfo(rays.dtype).eps
     columns = rays.T[:, :, None]
     for step in range(FEW_STEPS + 1):
-        shares = (matrices.index_select(0, triangles).view(-1, 3, 3) * columns).sum(1)
+        weights = (matrices.index_select(0, triangles).view(-1, 3, 3) * columns).sum(1)
         if step < FEW_STEPS:
-            least, corner = shares.min(1)
-            beyond = table.neighbors.index_select(0, corner.add(triangles, alpha=3))
-            triangles = beyond.where(least < -slack * shares.sum(1), triangles)
-    return triangles, convex(shares, 1).T
+            least, corner = weights.min(1)
+            neighbors = table.neighbors.index_select(0, corner.add(triangles, alpha=3))
+            triangles = neighbors.where(least < -slack * weights.sum(1), triangles)
+    return triangles, convex(weights, 1).T
 
 
 @constant_table
@@ -184,10 +184,10 @@ def _neighbors(level: int) -> Tensor:
     own = torch.arange(20 * n * n, dtype=torch.int32).view(5, 2 * n, n, 2)
     first, second = own.unbind(-1)
     east, west = own.roll(-1, 0), own.roll(1, 0)
-    beside = own.new_empty(5, 2 * n, n, 2, 3)
-    beside[..., 0, 0], beside[..., 1, 0] = second, first
-    to_west, to_north = beside[..., 0, 1], beside[..., 0, 2]
-    to_east, to_south = beside[..., 1, 1], beside[..., 1, 2]
+    adjacent = own.new_empty(5, 2 * n, n, 2, 3)
+    adjacent[..., 0, 0], adjacent[..., 1, 0] = second, first
+    to_west, to_north = adjacent[..., 0, 1], adjacent[..., 0, 2]
+    to_east, to_south = adjacent[..., 1, 1], adjacent[..., 1, 2]
     to_west[:, :, 1:], to_east[:, :, :-1] = second[:, :, :-1], first[:, :, 1:]
     to_north[:, 1:], to_south[:, :-1] = second[:, :-1], first[:, 1:]
     # As in ``vertex_at``: the north edge is the upper left edge of the next chart; the east edge is its lower left
@@ -195,7 +195,7 @@ def _neighbors(level: int) -> Tensor:
     to_north[:, 0], to_west[:, :n, 0] = east[:, :n, 0, 0], west[:, 0, :, 0]
     to_east[:, :n, -1], to_west[:, n:, 0] = east[:, n:, 0, 0], west[:, :n, -1, 1]
     to_east[:, n:, -1], to_south[:, -1] = east[:, -1, :, 1], west[:, n:, -1, 1]
-    return beside.flatten()
+    return adjacent.flatten()
 
 
 def _cells(table: TriangleTable) -> Tensor:
@@ -214,14 +214,14 @@ def _cells(table: TriangleTable) -> Tensor:
 
 def _children(rays: Tensor, parents: Tensor, table: TriangleTable) -> Tensor:
     """Triangles of the next level about where rays ``(3, m)`` pierce their parents, triangles ``(m,)`` of a table."""
-    shares = coefficients(rays, parents, table)
+    weights = coefficients(rays, parents, table)
     # The corner that has more than half of the weight (outside, two may have); else the middle, which is turned.
-    first, second, third = shares.gt(shares.sum(0).div_(2)).int()
+    first, second, third = weights.gt(weights.sum(0).div_(2)).int()
     second -= first * second
     third -= (first + second) * third
     n, half, place = 2**table.level, parents & 1, parents >> 1
     sign = 1 - 2 * half
     row = (place >> table.level).mul_(2).add_(half).addcmul_(sign, third)
     column = (place & n - 1).mul_(2).add_(half).addcmul_(sign, second)
-    middle = 1 - first.add_(second).add_(third)
-    return row.mul_(2 * n).add_(column).mul_(2).add_(half).addcmul_(sign, middle)
+    center = 1 - first.add_(second).add_(third)
+    return row.mul_(2 * n).add_(column).mul_(2).add_(half).addcmul_(sign, center)

@@ -93,8 +93,8 @@ def _print(rig: CameraRig, result: RigTurns, frames: list[Mapping[str, Tensor]])
         turn, spread = (
             math.degrees(float(values[place])) for values in (result.turns.norm(dim=-1), result.spread)
         )
-        mine = seen[place]
-        shared = float((mine & (seen.sum(0) > 1)).sum() / mine.sum().clamp(min=1))
+        pixels = seen[place]
+        shared = float((pixels & (seen.sum(0) > 1)).sum() / pixels.sum().clamp(min=1))
         exposure = float(light.exposure[place].mean().exp())
         resolution = math.radians(pixels_a_radian(camera))
         doubtful = result.reason and (turn + 2 * spread >= math.degrees(result.within) - 1e-6)

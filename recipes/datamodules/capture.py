@@ -146,8 +146,8 @@ class CaptureDataModule(CaptureFields, PreparedSamples):
     @property
     def held_out(self) -> list[str]:
         """Names of the frames that judge."""
-        middle = min(self.held_out_every // 2, len(self.names) - 1)
-        return self.names[middle :: self.held_out_every]
+        offset = min(self.held_out_every // 2, len(self.names) - 1)
+        return self.names[offset :: self.held_out_every]
 
     def bind_network(self, net: Any, *more: str, depth_level: int | None = None) -> None:
         """Give samples on the network's icospheres.

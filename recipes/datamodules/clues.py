@@ -103,8 +103,8 @@ class SamplesWithClues(Dataset[Sample]):
         content = (__version__, samples.fingerprint, identity_of(self.net.prior), self.net.coarse_level)
         name = f"clues-{sha256(repr(content).encode()).hexdigest()[:16]}"
         shapes = clue_shapes(self.net.inner_hypotheses, self.net.coarse_level)
-        kept: dict[str, Kept] = {name: (shape, torch.float16) for name, shape in shapes.items()}
-        self.cache = ArrayCache(Path(folder) / name, kept, compress=False)
+        entries: dict[str, Kept] = {name: (shape, torch.float16) for name, shape in shapes.items()}
+        self.cache = ArrayCache(Path(folder) / name, entries, compress=False)
 
     def __len__(self) -> int:
         return len(self.samples)

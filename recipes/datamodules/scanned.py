@@ -232,8 +232,8 @@ class OmniPusDataModule(ScannedDataModule):
 
     def frames(self, split: str, height: int, transform: Transform) -> OmniPusDataset:
         """Frames of a split."""
-        part = "train" if split == "train" else "test"
-        return OmniPusDataset(self.root, part, height, transform, math.radians(self.max_latitude_deg))
+        section = "train" if split == "train" else "test"
+        return OmniPusDataset(self.root, section, height, transform, math.radians(self.max_latitude_deg))
 
 
 @dataclass(eq=False, repr=False, kw_only=True)

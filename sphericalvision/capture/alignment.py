@@ -256,7 +256,7 @@ def _smooth(depth: Depth, pixel: float) -> dict[str, Tensor]:
 def _along(depths: Sequence[Depth], directions: Tensor) -> tuple[Tensor, Tensor]:
     """Inverse depth of frames and how much it is to be trusted, ``(F, V)`` each."""
     network, min_depth = depths[0].network, torch.tensor([[depth.min_depth] for depth in depths])
-    both = [depth.index for depth in depths] + [depth.confidence * depth.seen for depth in depths]
-    values, reached = network.index_at(torch.stack(both), directions)
+    maps = [depth.index for depth in depths] + [depth.confidence * depth.seen for depth in depths]
+    values, reached = network.index_at(torch.stack(maps), directions)
     index, trust = values.chunk(2)
     return index / ((network.num_hypotheses - 1) * min_depth.to(index)), (trust * reached).clamp(0, 1)

@@ -67,10 +67,12 @@ def floor_up(depth: Depth) -> Float[Tensor, " 3"] | None:
     on_plane = (planes @ directions.mT - inverse).abs() < TOLERANCE * inverse
     plane = planes[(on_plane * weights).sum(-1).argmax()]
     for _ in range(3):  # what lies on the better plane makes it better still
-        near = (directions @ plane - inverse).abs() < TOLERANCE * inverse
-        scale = weights[near].sqrt()[:, None]
-        plane = torch.linalg.lstsq(scale * directions[near], scale * inverse[near, None]).solution[:, 0]
-    if float(weights[near].sum()) < MIN_FLOOR * float(weights.sum()):
+        is_close = (directions @ plane - inverse).abs() < TOLERANCE * inverse
+        scale = weights[is_close].sqrt()[:, None]
+        plane = torch.linalg.lstsq(scale * directions[is_close], scale * inverse[is_close, None]).solution[
+            :, 0
+        ]
+    if float(weights[is_close].sum()) < MIN_FLOOR * float(weights.sum()):
         return None
     return -torch.nn.functional.normalize(plane, dim=0).float()
 

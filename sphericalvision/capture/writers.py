@@ -194,8 +194,8 @@ class SequenceWriter(Writer):
         return self.results.path / f"{self.stem}{'' if part == 1 else f'_{part}'}{self.suffix}"
 
     def has(self, frame: str) -> bool:
-        parts = self.results.frames(self.name).items()
-        return any(frame in names and self.path(part).is_file() for part, names in parts)
+        entries = self.results.frames(self.name).items()
+        return any(frame in names and self.path(part).is_file() for part, names in entries)
 
     def add(self, frame: str, views: Panoramas) -> list[Path]:
         if self.restarts or not self.has(frame):
@@ -491,19 +491,19 @@ def read_shares(path: Path) -> dict[str, float]:
     Raises:
         FileFormatError: it is no text.
     """
-    shares: dict[str, float] = {}
+    fractions: dict[str, float] = {}
     content = path.read_bytes() if path.is_file() else b""
     try:
         text = content[: content.rfind(b"\n") + 1].decode()
         for row in csv.reader(io.StringIO(text, newline="")):
             with suppress(ValueError):
                 frame, share = row
-                shares[frame] = float(share)
+                fractions[frame] = float(share)
     except (UnicodeDecodeError, csv.Error) as error:
         raise FileFormatError(
             f"{path}: is damaged ({error}); delete it, and its frames are made again"
         ) from None
-    return shares
+    return fractions
 
 
 def _rows_of(shares: Mapping[str, float]) -> str:

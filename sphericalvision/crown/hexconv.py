@@ -78,7 +78,7 @@ def _north_fraction(level: int) -> Tensor:
     west_row = torch.where(row <= n, 1, row - n)
     west_column = torch.where(row <= n, row - 1, n - 1)
     at_edge = column == 0
-    left = vertices[
+    neighbor = vertices[
         vertex_at(
             torch.where(at_edge, (chart - 1) % 5, chart),
             torch.where(at_edge, west_row, row),
@@ -94,7 +94,7 @@ def _north_fraction(level: int) -> Tensor:
         turned = (torch.linalg.cross(flat_end, flat_start) * center).sum(-1)
         return torch.atan2(turned, (flat_start * flat_end).sum(-1))
 
-    fraction = (angle(up, north) / angle(up, left)).clamp(0, 1)
+    fraction = (angle(up, north) / angle(up, neighbor)).clamp(0, 1)
     # At vertices of valence five the two neighbours are none of a hexagon's: `NORTH_RINGS` turns their taps.
     fraction[:, n - 1 :: n, 0] = 0
     return F.pad(fraction.flatten(), (1, 1))

@@ -80,7 +80,7 @@ def mean_over_places(
 ) -> Float[Tensor, "B C *N V"]:
     """Return the mean ``(B, C, [N,] V)`` of each vertex over all its places."""
     level = level_of_rectangles(col)
-    places = torch.cat((col.flatten(-2), row.flatten(-2)), 1).movedim(1, -2).flatten(-2)
+    columns = torch.cat((col.flatten(-2), row.flatten(-2)), 1).movedim(1, -2).flatten(-2)
     ids, size = place_ids(level, col.device).flatten(), num_icosphere_vertices(level)
-    sums = places.new_zeros((*places.shape[:-1], size)).scatter_add(-1, ids.expand(places.shape), places)
-    return sums / places.new_zeros(size).index_add(0, ids, places.new_ones(len(ids)))
+    sums = columns.new_zeros((*columns.shape[:-1], size)).scatter_add(-1, ids.expand(columns.shape), columns)
+    return sums / columns.new_zeros(size).index_add(0, ids, columns.new_ones(len(ids)))

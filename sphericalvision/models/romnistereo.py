@@ -304,9 +304,9 @@ def upsampled(
                 [1., 1.]])
     """
     rows, columns = index.shape[-2:]
-    shares = weights.unflatten(1, (9, 4)).softmax(1)
+    convex = weights.unflatten(1, (9, 4)).softmax(1)
     neighbours = F.unfold(index.unsqueeze(1), 3, padding=1).unflatten(-1, (rows, columns)).unsqueeze(2)
-    return F.pixel_shuffle((shares * neighbours).sum(1), 2).squeeze(1)
+    return F.pixel_shuffle((convex * neighbours).sum(1), 2).squeeze(1)
 
 
 register_network("romnistereo", RomniStereo)

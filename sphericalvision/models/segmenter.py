@@ -66,9 +66,9 @@ class SphereSegmenter(SphereNetwork):
         """Return logits ``(B, num_classes, *grid.shape)`` of values ``(B, in_channels, *grid.shape)``."""
         self.check_values(values)
         fine = self.fine(ToCrown()(values) if self.network == "crown" else values)
-        middle = self.middle(fine)
-        middle = self.to_middle(_joined(self._upsampled(self.coarse(middle)), middle))
-        features = self.to_fine(_joined(self._upsampled(middle), fine))
+        medium = self.middle(fine)
+        medium = self.to_middle(_joined(self._upsampled(self.coarse(medium)), medium))
+        features = self.to_fine(_joined(self._upsampled(medium), fine))
         if self.network == "crown":
             features = FromCrown()(features)
         elif self.network == "hexgroup":

@@ -78,8 +78,8 @@ def nearest_depth(
             break
         # A bare floor is nowhere sure, and still there: what is merely seen counts, with more of it left out.
         surface = torch.minimum(certain.quantile(quantile), seen_twice.quantile(4 * quantile))
-        found = max(least, margin * float(surface))
-        if found < 1.1 * nearest:
-            return max(nearest, min(found, nearest * 1.1))
-        nearest = found
+        distance = max(least, margin * float(surface))
+        if distance < 1.1 * nearest:
+            return max(nearest, min(distance, nearest * 1.1))
+        nearest = distance
     return nearest

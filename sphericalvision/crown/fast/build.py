@@ -226,8 +226,8 @@ def _is_whole(library: Path) -> bool:
     try:
         with library.open("rb") as file:
             own = _is_own(os.fstat(file.fileno()), allowed=stat.S_IFREG | 0o755)
-            found = hashlib.sha256(file.read()).hexdigest()
-        return own and _digest_file(library).read_text() == found
+            digest = hashlib.sha256(file.read()).hexdigest()
+        return own and _digest_file(library).read_text() == digest
     except (OSError, UnicodeDecodeError):
         return False
 

@@ -81,26 +81,26 @@ def simulated_hint(
 
     turned = rotate_fivefold(inverse_depth.roll(1, 0), 2), rotate_fivefold(valid.roll(1, 0), 2)
     values = turned[0].where(nonsense, inverse_depth)
-    known = turned[1].where(nonsense, valid)
-    values = values.where(known, 0.0)
+    has_depth = turned[1].where(nonsense, valid)
+    values = values.where(has_depth, 0.0)
 
     cameras = inverse_depth.new_ones(batch, 1, values.shape[-1]) if seen is None else seen.to(values)
     # The greatest of those that see a direction says it.
     order = cameras * (uniform(cameras.shape[1], 1) + 0.01)
     greatest, view = order.max(1)
-    mean = values.sum(1, keepdim=True) / known.sum(1, keepdim=True).clamp(min=1)
+    mean = values.sum(1, keepdim=True) / has_depth.sum(1, keepdim=True).clamp(min=1)
     scale, shift = normal(2, cameras.shape[1]).unbind(1)
     scale, shift = (SCALE * scale).exp().gather(1, view), (SHIFT * shift).gather(1, view) * mean
 
-    rows = torch.stack((values, known.to(values)), -1).transpose(0, 1)
+    rows = torch.stack((values, has_depth.to(values)), -1).transpose(0, 1)
     sums, weights = ring_mean(ring_mean(rows)).transpose(0, 1).unbind(-1)
     blurred = values.lerp(sums / weights.clamp(min=1e-6), blur)
     dense = (blurred * scale * (error * smooth_error).exp() + shift).clamp(min=0)
     values = values.where(sparse, dense) * (0.5 * error * normal(values.shape[-1])).exp()
 
     points = uniform(values.shape[-1]) < density
-    known = known & (points | ~sparse) & ((smooth_holes > -0.5) | ~holed)
+    has_depth = has_depth & (points | ~sparse) & ((smooth_holes > -0.5) | ~holed)
     of_one = greatest == greatest.amax(1, keepdim=True)  # the camera that comes before all others
-    known = known & (greatest > 0) & (of_one | ~single) & present
+    has_depth = has_depth & (greatest > 0) & (of_one | ~single) & present
     weight = (1 - 4 * error + 0.15 * normal(1)).clamp(0.1, 1)
-    return DepthHint(values, weight * known)
+    return DepthHint(values, weight * has_depth)

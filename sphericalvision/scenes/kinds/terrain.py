@@ -52,13 +52,13 @@ def random_terrain(generator: torch.Generator, clear_radius: float = 0.6) -> Sce
     while near := set(hit.primitive[hit.distance < clear_radius + 0.05].tolist()):
         land = [part for number, part in enumerate(land) if number not in near]
         hit = trace(pack(land), torch.zeros(3), Icosphere(4).vertices)
-    parts, some = _fence(palette, land), [palette.choose(CLUTTER) for _ in range(2)]
+    surfaces, some = _fence(palette, land), [palette.choose(CLUTTER) for _ in range(2)]
     for spot in _on(land, [_spot(palette, clear_radius) for _ in range(palette.integer(20, 45))]):
         if palette.chance(0.15):
-            parts += _house(palette, spot)
+            surfaces += _house(palette, spot)
         else:
-            parts += clutter(palette, spot, *palette.choose(some if palette.chance(0.5) else CLUTTER))
-    return in_weather(palette, land, parts, clear_radius, foggy=0.3)
+            surfaces += clutter(palette, spot, *palette.choose(some if palette.chance(0.5) else CLUTTER))
+    return in_weather(palette, land, surfaces, clear_radius, foggy=0.3)
 
 
 def in_weather(palette: Palette, land: list[Part], parts: list[Part], clear: float, foggy: float) -> Scene:
@@ -109,15 +109,15 @@ def clutter(
 ) -> list[Part]:
     """Pieces of one shape around a spot, see `CLUTTER`."""
     long, material, shape = palette.log_uniform(*lengths), weathered(palette, 2.0), palette.choose(SHAPES)
-    half, parts = long * palette.log_uniform(*slim), []
+    half, surfaces = long * palette.log_uniform(*slim), []
     for _ in range(palette.integer(*pieces)):
         foot = off(spot, palette.uniform(0, spread) * long, palette.uniform(0, 7), -0.1 * long)
         tip = off(
             foot, palette.uniform(0, lean) * long, palette.uniform(0, 7), palette.uniform(0.5, 1) * long
         )
         thick = (half * palette.uniform(0.3, 1.0), half * palette.uniform(0.3, 1.0))
-        parts.append(beam(foot, tip, thick, material, shape, palette.uniform(0, 3)))
-    return parts
+        surfaces.append(beam(foot, tip, thick, material, shape, palette.uniform(0, 3)))
+    return surfaces
 
 
 def _land(palette: Palette) -> list[Part]:

@@ -94,7 +94,7 @@ BOOSTS = {
 
 
 ASKED = (
-    r'<h[1-6] id="([^"]+)">(?:(?!</h[1-6]>).)*</h[1-6]>\s*<!-- search: ([^>]*) -->'
+    r'<h([1-6]) id="([^"]+)">(?:(?!</h[1-6]>).)*</h[1-6]>\s*<!-- search: ([^>]*) -->'
 )
 """A heading and, below it, what people call what stands there."""
 SYNONYMS: dict[str, list[str]] = {}

@@ -93,9 +93,7 @@ BOOSTS = {
 """How much more than others pages count in the search, by how their address begins."""
 
 
-ASKED = (
-    r'<h([1-6]) id="([^"]+)">(?:(?!</h[1-6]>).)*</h[1-6]>\s*<!-- search: ([^>]*) -->'
-)
+ASKED = r'<h([1-6]) id="([^"]+)">(?:(?!</h[1-6]>).)*</h[1-6]>\s*<!-- search: ([^>]*) -->'
 """A heading and, below it, what people call what stands there."""
 SYNONYMS: dict[str, list[str]] = {}
 """Address of a section -> those words. They count as much as its title."""

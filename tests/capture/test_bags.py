@@ -248,5 +248,5 @@ def test_what_is_no_bag_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         assert name.startswith("flipped")
         assert all(frame.images is not None or isinstance(frame.error, FileFormatError) for frame in frames)
     monkeypatch.setattr("sphericalvision.capture.sources.bags.find_spec", lambda name: None)
-    with pytest.raises(ArgumentError, match=r"sphericalvision\[bags\]"):
+    with pytest.raises(ArgumentError, match=r"pip install rosbags"):
         open_source(str(path), RIG)

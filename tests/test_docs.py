@@ -176,7 +176,7 @@ def test_every_page_is_in_the_navigation() -> None:
             "z depth against range, TensorRT, AprilGrid, ChArUco, Gaussian splatting from fisheyes, OmniPus",
         ),
         ("guide/scanned.md", "LiDAR truth, Helvipad, Deep360, KITTI-360"),
-        ("formats/nerfstudio.md", "nerfstudio"),
+        ("formats/files.md", "nerfstudio, Kalibr, OCamCalib"),
     ],
 )
 def test_the_search_of_the_site_finds_the_page_that_answers(page: str, searched: str) -> None:

@@ -83,7 +83,7 @@ SEARCHED = {
     "guide/convolutions": "spherical CNN",
     "guide/predictor": "ONNX",
     "grids/healpix": "HEALPix",
-    "formats/kalibr": "Kalibr",
+    "formats/files": "Kalibr",
     "recipes/configuration": "hyperparameter, wandb",
     "troubleshooting": "error message",
     "tutorials/cluster": "multi-GPU",

@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 import functools
-import re
-from pathlib import Path
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -15,10 +14,12 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from figures import FAINT, MARK, bar_below, bare_axes, new_figure, to_html
+from figures.tables import read
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.data import ToSphere
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import pretrained
+from sphericalvision.recipes.evaluation.tables import Table
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.sphere import Equirectangular, resample
 from sphericalvision.sweep import index_from_depth
@@ -244,29 +245,19 @@ def confidence() -> str:
 
 
 def reliability() -> str:
-    """Expected against real errors by kind of scene, from the table in the guide."""
-    page = (
-        Path(__file__)
-        .parent.parent.joinpath("guide", "refinedsweepnet.md")
-        .read_text()
-    )
+    """Expected against real errors by kind of scene, and the numbers folded away."""
+    kinds = read("reliability")
     figure = new_figure(4.2, 3.4)
     axes = figure.add_axes((0.15, 0.15, 0.8, 0.82))
     axes.plot((0, 2), (0, 2), color=FAINT, linestyle="--")
-    for kind, cells in re.findall(
-        r"^\| (\w+) \|(.*\d \(\d.*)\|$", page, re.MULTILINE
-    ):
-        points = [
-            (float(so), float(said))
-            for so, said in re.findall(r"([\d.]+) \(([\d.]+)\)", cells)
-        ]
-        so, said = zip(*points, strict=True)
+    for kind, row in kinds.items():
+        real, expected = zip(*filter(None, row["errors"]), strict=True)
         marks = (
             {"color": MARK, "linewidth": 2.5}
             if kind == "meshes"
             else {"linewidth": 1.0}
         )
-        axes.plot(said, so, marker="o", markersize=3, label=kind, **marks)
+        axes.plot(expected, real, marker="o", markersize=3, label=kind, **marks)
     axes.set(
         xlabel="error that the confidence says, hypotheses",
         ylabel="mean error",
@@ -274,12 +265,28 @@ def reliability() -> str:
         ylim=(0, 2),
     )
     axes.legend(fontsize=8, frameon=False, ncols=2)
-    return to_html(
+    bounds = (0, 0.2, 0.4, 0.6, 0.8, 0.9, 1)
+    bins = [f"{low:g} to {high:g}" for low, high in pairwise(bounds)]
+    table = Table(
+        "Errors in hypotheses by confidence; in brackets what the confidence says.",
+        ("kind", "mean error, % of N", "surest 80 % / all", *bins),
+        [
+            [
+                kind,
+                row["mean"],
+                row["surest"],
+                *(f"{e[0]:.2f} ({e[1]:.2f})" if e else "–" for e in row["errors"]),
+            ]
+            for kind, row in kinds.items()
+        ],
+    )
+    picture = to_html(
         figure,
         "Mean error against the error that the confidence says, a line for each kind of scene",
         "A point on the dashed line keeps its word; below it errors are smaller than it says. Meshes are of a kind "
         "that no training has seen.",
     )
+    return f"{picture}\n<details><summary>The numbers</summary>\n{table.html()}</details>"
 
 
 def failures() -> str:

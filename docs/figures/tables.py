@@ -34,9 +34,7 @@ def markdown(name: str, heading: str) -> str:
 
 def rest_of_benchmark() -> str:
     """The tables that are folded away."""
-    tables = {
-        k: Table.of(v) for k, v in read("benchmark").items() if k != SHOWN
-    }
+    tables = {k: Table.of(v) for k, v in read("benchmark").items() if k != SHOWN}
     return "\n".join(
         f"<details><summary>{heading}</summary>\n{table.html()}</details>"
         for heading, table in tables.items()

@@ -121,6 +121,12 @@ class Capture(Calibration):
                 break
         return source
 
+    def restrict(self, source: Source) -> None:
+        """Mask the rig's own body where that is asked for, and let fields of view end where the images are dark."""
+        if self.masks == AUTO:
+            source.rig = masked_by_itself(source)
+        cut_to_visible(source, self.max_angle_deg)
+
     def rig(self, dtype: torch.dtype | None = None) -> CameraRig:
         """The rig of the file, of a pattern with fields the folder above them; images say the size that it does not.
 

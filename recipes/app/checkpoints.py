@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Networks from files: weights, Lightning checkpoints, the authors' format, or what ships in the package."""
+"""Trainings that start from checkpoints, and what is wrong with those that do not fit."""
 
 from __future__ import annotations
 
@@ -13,32 +13,9 @@ from sphericalvision.core import ArgumentError, FileFormatError, first_line
 from sphericalvision.models import DepthNetwork, IcoSweepNet, RefinedSweepNet
 from sphericalvision.models.weights.checkpoints import read_network
 
-__all__ = ["initialize", "load_network", "read_checkpoint", "refuse_others"]
+__all__ = ["initialize", "read_checkpoint", "refuse_others"]
 
 Content = TypeVar("Content")
-
-
-def load_network(
-    checkpoint: str | Path | None = None,
-    level: int | None = None,
-    min_depth: float | None = None,
-) -> DepthNetwork:
-    """Load a network of any kind in evaluation mode.
-
-    Its parameters depend neither on ``level`` nor on ``min_depth``, so both may be replaced.
-
-    Args:
-        checkpoint: ``.safetensors``, a Lightning ``.ckpt``, or ``.pth`` in the authors' format, or the
-            name of a network that ships with the package; ``refinedsweepnet`` when not given.
-        level: of the images on the icosphere, instead of the level trained at, where the network has one.
-        min_depth: nearest hypothesis in metres, instead of that of the training.
-
-    Raises:
-        ArgumentError: a level for a network that has no such choice.
-        MissingFileError: no such file.
-        FileFormatError: the file holds no network of this package.
-    """
-    return read_network(checkpoint).with_changes(level=level, min_depth=min_depth).eval()
 
 
 def initialize(net: DepthNetwork, weights: str | Path) -> None:
@@ -49,7 +26,7 @@ def initialize(net: DepthNetwork, weights: str | Path) -> None:
     Raises:
         ArgumentError: the other network is of another kind, number of cameras or channels; the message names both.
     """
-    other = load_network(weights)
+    other = read_network(weights)
     if isinstance(net, RefinedSweepNet) and isinstance(other, IcoSweepNet):
         net = net.prior
     if type(other) is not type(net):

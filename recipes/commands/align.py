@@ -21,7 +21,7 @@ from sphericalvision.capture.alignment import LEVEL, RigTurns
 from sphericalvision.capture.sources.frames import Selection, Source, spread_evenly
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.icosphere import icosphere_vertices
-from sphericalvision.recipes.app.captures import AUTO, Capture, cut_to_visible, masked_by_itself
+from sphericalvision.recipes.app.captures import Capture
 from sphericalvision.recipes.app.cli import choose_device, console, print_table
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Text
 from sphericalvision.sphere.intake import as_photographs
@@ -56,9 +56,7 @@ def align(config: AlignConfig) -> RigTurns:
     names = source.names(config.capture.selection)
     if names is None:
         raise ArgumentError("images: expected a recording, not live cameras")
-    if config.capture.masks == AUTO:
-        source.rig = masked_by_itself(source)
-    cut_to_visible(source, config.capture.max_angle_deg)
+    config.capture.restrict(source)
     frames = _read(source, spread_evenly(names, config.num_frames))
     start = time.perf_counter()
     with console.status(f"comparing {len(frames)} frame(s) with the calibration"):

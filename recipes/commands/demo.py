@@ -21,7 +21,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import SampleView, ToSphere, collate_samples
 from sphericalvision.io.images import write_image
 from sphericalvision.models import DepthNetwork
-from sphericalvision.recipes.app.checkpoints import load_network
+from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.recipes.app.cli import build, choose_device, console
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Number, Text
 from sphericalvision.recipes.evaluation.frames import SampleFrames
@@ -56,7 +56,7 @@ class DemoConfig:
 def demo(config: DemoConfig, folder: Path) -> Table:
     """Render a scene, estimate its depth, write everything to ``folder`` and return the table."""
     folder.mkdir(parents=True, exist_ok=True)
-    net = load_network(config.checkpoint).to(choose_device(config.device))
+    net = read_network(config.checkpoint).to(choose_device(config.device))
     if net.images != "sphere":
         raise ArgumentError(
             "checkpoint: the demonstration shows networks on the icosphere, "

@@ -38,7 +38,7 @@ from sphericalvision.io.images import write_mask
 from sphericalvision.io.yaml_files import read_yaml
 from sphericalvision.models.weights.files import identity_of
 from sphericalvision.models.weights.pretrained import DEFAULT
-from sphericalvision.recipes.app.captures import AUTO, FLOOR, PosedCapture, cut_to_visible, masked_by_itself
+from sphericalvision.recipes.app.captures import AUTO, FLOOR, PosedCapture
 from sphericalvision.recipes.app.checks import flat
 from sphericalvision.recipes.app.cli import choose_device, console, print_config, say
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, OnlyWith, Positive, Share, Text
@@ -117,7 +117,7 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
     placement = config.capture.placement(calibrated.rig)
     calibrated.rig = placed(calibrated.rig, placement)
     basis = identities(config, source.rig)
-    restrict_views(config, calibrated)
+    config.capture.restrict(calibrated)
     warn_if_lying(config, source.rig)
     warn_if_inverted(source, config.capture.upwards)
 
@@ -203,13 +203,6 @@ def open_frames(config: PredictConfig) -> Source:
             "(expected 5 mm to 5 m). Trajectories are in metres: check their unit, and spacing=."
         )
     return source
-
-
-def restrict_views(config: PredictConfig, source: Source) -> None:
-    """Mask the rig's own body where that is asked for, and let fields of view end where the images are dark."""
-    if config.capture.masks == AUTO:
-        source.rig = masked_by_itself(source)
-    cut_to_visible(source, config.capture.max_angle_deg)
 
 
 def write_masks(config: PredictConfig, rig: CameraRig, folder: Path) -> None:

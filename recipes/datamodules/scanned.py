@@ -26,7 +26,7 @@ from sphericalvision.data.scanned.own import OwnScans
 from sphericalvision.data.scanned.scanned_frames import ScannedFrames
 from sphericalvision.data.scanned.spires import SpiresDataset
 from sphericalvision.data.scanned.widedepth import WideDepthDataset
-from sphericalvision.recipes.app.captures import AUTO, CaptureFields, cut_to_visible, masked_by_itself
+from sphericalvision.recipes.app.captures import CaptureFields
 from sphericalvision.recipes.app.kinds import Count, Positive, Share, Text
 from sphericalvision.recipes.datamodules.data_module import Sample
 from sphericalvision.recipes.datamodules.depth_data_module import DepthDataModule
@@ -260,15 +260,14 @@ class OwnScansDataModule(CaptureFields, ScannedDataModule):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        source = self.capture_with(frames=self.frames_named, tolerance=self.tolerance).open()
+        capture = self.capture_with(frames=self.frames_named, tolerance=self.tolerance)
+        source = capture.open()
         if not isinstance(source, ImageFiles) or any("" in files for files in source.moments.values()):
             raise ArgumentError(
                 "data.images: scans lie beside image files, one for each camera and frame; expected such, not videos, "
                 "bags or pictures of all views"
             )
-        if self.masks == AUTO:
-            source.rig = masked_by_itself(source)
-        cut_to_visible(source, self.max_angle_deg)
+        capture.restrict(source)
         self.source = source
 
     def frames(self, split: str, height: int, transform: Transform) -> OwnScans:

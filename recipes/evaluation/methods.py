@@ -28,8 +28,8 @@ from sphericalvision.models import (
     load_weights,
     save_weights,
 )
+from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.models.weights.files import identity_of
-from sphericalvision.recipes.app.checkpoints import load_network
 from sphericalvision.recipes.datamodules.entries import images_of
 from sphericalvision.recipes.evaluation.frames import Batch
 from sphericalvision.recipes.evaluation.rectified_sgbm import RectifiedSGBM
@@ -319,7 +319,7 @@ def make_method(word: str, level: int = 6, scale: Scale = SCALE, folder: Path | 
     elif word in UNTRAINED:
         net = UNTRAINED[word](level, *scale)
     else:
-        net = load_network(word, min_depth=scale.min_depth)
+        net = read_network(word).with_changes(min_depth=scale.min_depth)
     return Method(Path(word).stem if Path(word).suffix else word, net)
 
 

@@ -14,8 +14,7 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Predictor
 from sphericalvision.capture.graphs import GraphedFunction
-from sphericalvision.models import DepthNetwork, IcoSweepNet
-from sphericalvision.recipes.app.checkpoints import load_network
+from sphericalvision.models import DepthNetwork, IcoSweepNet, pretrained
 from sphericalvision.recipes.speed.measuring import Comparison, Run, random_images
 from sphericalvision.scenes import make_scene, render_rig
 
@@ -64,7 +63,7 @@ def gpu(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     )
     level, number = config.settings[-1]
     networks: dict[str, Callable[[], DepthNetwork]] = {
-        **{title: partial(load_network, level=own) for title, own in LEVELS.items()},
+        **{title: partial(pretrained().with_changes, level=own) for title, own in LEVELS.items()},
         f"IcoSweepNet {level}/{number}": partial(
             IcoSweepNet, level, number, feature_channels=config.feature_channels
         ),

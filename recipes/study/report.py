@@ -4,10 +4,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from matplotlib.figure import Figure
 from omegaconf import DictConfig
@@ -27,7 +26,7 @@ from sphericalvision.sphere.intake import unsigned
 from sphericalvision.viz.figure import figure_pixels
 from sphericalvision.viz.panorama import icosphere_to_panorama, rgb_panorama
 
-__all__ = ["angle_plot", "drawn_frame", "errors_by_view", "study_tables"]
+__all__ = ["angle_plot", "drawn_frame", "study_tables"]
 
 PAPER: tuple[Column, ...] = tuple((name, f"paper {name}", 2) for name in DepthIndexError.error_names)
 DETAILS: tuple[Column, ...] = (
@@ -125,14 +124,6 @@ def drawn_frame(
     return DrawnFrame(camera, view, index, truth.counts[0], estimates, scale_of(config))
 
 
-def errors_by_view(
-    results: Results, model: str, path: str, views: Iterable[str]
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Mean over the seeds of a model in each view, and the standard deviation, 0 of a single seed."""
-    seeds = np.array([results.means(model, path, view) for view in views])
-    return seeds.mean(1), seeds.std(1, ddof=min(1, seeds.shape[1] - 1))
-
-
 def angle_plot(results: Results, views: list[View], num_hypotheses: int) -> Picture:
     """MAE and the share of errors above 3 % against the angle, a line a model, bars over seeds; uint8 RGB."""
     angles = {view.angle_deg: view.name for view in views if view.inputs == "fisheye"}
@@ -140,8 +131,9 @@ def angle_plot(results: Results, views: list[View], num_hypotheses: int) -> Pict
     names = {"MAE": f"MAE (% of N = {num_hypotheses})", ">3": "points off by more than 3 % (%)"}
     for axes, (name, label) in zip(figure.subplots(1, 2), names.items(), strict=True):
         for model in results.labels:
-            means, spreads = errors_by_view(results, model, f"paper {name}", angles.values())
-            axes.errorbar([*angles], means, spreads, marker="o", markersize=4, capsize=3, label=model)
+            seeds = np.array([results.means(model, f"paper {name}", view) for view in angles.values()])
+            spreads = seeds.std(1, ddof=min(1, seeds.shape[1] - 1))  # 0 of a single seed
+            axes.errorbar([*angles], seeds.mean(1), spreads, marker="o", markersize=4, capsize=3, label=model)
         axes.set(xlabel="cameras tilted down by θ (degrees)", ylabel=label)
         axes.set_xticks([*angles])
         axes.set_ylim(bottom=0)

@@ -11,7 +11,7 @@ from torchmetrics import MeanMetric
 
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.models import save_weights
-from sphericalvision.recipes.app.checkpoints import load_network
+from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.recipes.datamodules.capture import CaptureDataModule
 from sphericalvision.recipes.training.depth_module import DepthModule
 from sphericalvision.sweep.consistency_share import consistency_share
@@ -74,6 +74,6 @@ class AdaptModule(DepthModule):
             save_weights(self.net, path)
         else:
             print("It has not risen: the old weights stay.")
-            start = self.net if init_weights is None else load_network(init_weights)
+            start = self.net if init_weights is None else read_network(init_weights)
             save_weights(start, path)
         print(f"Weights to use: checkpoint={path}")

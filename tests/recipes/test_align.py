@@ -9,13 +9,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from sphericalvision.cameras import CameraRig, read_rig
-from sphericalvision.capture import Predictor
-from sphericalvision.capture.alignment import RigTurns
+from sphericalvision.cameras import read_rig
 from sphericalvision.capture.sources.frames import spread_evenly
-from sphericalvision.recipes.commands import align as commands
 from tests.recipes.knocked_capture import KNOCKED, true_rig, write_knocked_capture
-from tests.recipes.tiny import Run, write_plated_capture
+from tests.recipes.tiny import Run
 
 CAPTURE = ("calibration=c/rig.yaml", "images=c/{camera}/{frame:05d}.png")
 WORDS = (*CAPTURE, "num_frames=1")
@@ -54,20 +51,6 @@ def test_a_rig_that_is_right_is_left_alone(
     run("align", *WORDS, "output=new.yaml")
     assert "finds the calibration right" in capsys.readouterr().out
     assert not (tmp_path / "new.yaml").exists()
-
-
-def test_the_rigs_own_body_is_masked(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_plated_capture(tmp_path / "c")
-    rigs: list[CameraRig] = []
-
-    def judged(predictor: Predictor, frames: object) -> RigTurns:
-        rigs.append(predictor.rig)
-        return RigTurns.undecided(predictor.rig, "it is not asked for")
-
-    monkeypatch.setattr(commands, "align_rig", judged)
-    run("align", CAPTURE[0], "images=c/{camera}/{frame}.png", "num_frames=1", "masks=auto", "device=cpu")
-    assert not rigs[0].masks["cam2"][72:90, 30:66].any()
-    assert rigs[0].masks["cam2"][:54].all()
 
 
 def test_mistakes_are_named(failing: Callable[..., str], tmp_path: Path) -> None:

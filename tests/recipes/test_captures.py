@@ -38,18 +38,35 @@ def touch(root: Path, *names: str) -> str:
     return str(root)
 
 
-@pytest.mark.parametrize("labels", ["123", "012"])
-def test_cameras_are_counted_from_one_or_from_zero(tmp_path: Path, labels: str) -> None:
-    root = touch(tmp_path, *(f"cam{label}/{frame:05d}.png" for label in labels for frame in (2, 10)))
-    files = find_capture(root + "/cam{camera}/{frame:05d}.png", NAMES)
-    assert list(files) == ["00002", "00010"]
-    assert [path.parent.name for path in files["00010"].values()] == [f"cam{label}" for label in labels]
+PATTERNS: dict[str, tuple[list[str], str, list[Any] | None, list[str]]] = {
+    "hidden files": (["{c}/1.png", "{c}/._1.png", "{c}/2.png"], "{camera}/{frame}.png", None, ["1", "2"]),
+    "numbers": (["{c}/100.jpg", "{c}/9.jpg", "{c}/10.jpg"], "{camera}/{frame}.jpg", None, ["9", "10", "100"]),
+    "times": (["{c}/0.76.jpg", "{c}/0.8.jpg"], "{camera}/{frame}.jpg", None, ["0.76", "0.8"]),
+    "digits": (["{c}/7.jpg", "{c}/mask.jpg"], "{camera}/{frame:d}.jpg", None, ["7"]),
+    "a word": (["{c}/7.jpg", "{c}/mask.jpg"], "{camera}/{frame}.jpg", ["mask"], ["mask"]),
+    "twice": (["{c}/v{c}_01.png", "{c}/v{c}_02.png"], "{camera}/v{camera}_{frame:02d}.png", [2], ["02"]),
+    "brackets": (["run [x] */cam{c}/1.png"], "run [x] */cam{camera}/{frame}.png", None, ["1"]),
+    "from here": (["cam{c}/1.png"], "./cam{camera}/{frame}.png", None, ["1"]),
+}
+"""Files of each camera, a pattern, the frames asked for, and those that it finds, in order."""
 
 
-def test_names_of_cameras_come_before_numbers(tmp_path: Path) -> None:
-    root = touch(tmp_path, "front.png", "back.png", "0.png", "1.png")
-    (files,) = find_capture(root + "/{camera}.png", ["front", "back"]).values()
-    assert [path.name for path in files.values()] == ["front.png", "back.png"]
+@pytest.mark.parametrize(("files", "pattern", "asked", "expected"), PATTERNS.values(), ids=PATTERNS)
+def test_frames_of_a_pattern(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    files: list[str],
+    pattern: str,
+    asked: list[Any] | None,
+    expected: list[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    touch(tmp_path, *(file.format(c=camera) for camera in "123" for file in files))
+    capture = find_capture(pattern, NAMES, asked)
+    assert list(capture) == expected
+    for cameras in capture.values():
+        found = [path.resolve().relative_to(tmp_path.resolve()) for path in cameras.values()]
+        assert [str(path.parent)[-1] for path in found] == ["1", "2", "3"]
 
 
 LAYOUTS = {  # names of the cameras, and the folders of their images
@@ -144,12 +161,6 @@ def test_labels_are_names_or_numbers_or_refused(
         find_labels(pattern, names, used)
 
 
-def test_hidden_files_are_no_frames(tmp_path: Path) -> None:
-    """macOS writes ._0001.png beside 0001.png on network drives."""
-    root = touch(tmp_path, *(f"{c}/{dot}{f}.png" for c in "123" for f in ("1", "2") for dot in ("", "._")))
-    assert list(find_capture(root + "/{camera}/{frame}.png", NAMES)) == ["1", "2"]
-
-
 @pytest.mark.parametrize("cameras", [None, ["cam1", "cam2"], ["cam3"]])
 def test_stills_of_all_views_are_cut_as_videos_are(tmp_path: Path, cameras: list[str] | None) -> None:
     rig = ring_rig(3, image_size=(16, 16))
@@ -172,12 +183,6 @@ def test_stills_of_all_views_are_cut_as_videos_are(tmp_path: Path, cameras: list
     _, _, *others = source.frames(Selection(), lambda _: True)
     for number, frame in enumerate(others, 2):
         assert f"R{number}.png: expected 48 x 16 pixels (width x height), as the first" in str(frame.error)
-
-
-@pytest.mark.parametrize("names", [["9", "10", "100"], ["0.76", "0.8"]])
-def test_frames_are_in_the_order_of_numbers_and_times(tmp_path: Path, names: list[str]) -> None:
-    root = touch(tmp_path, *(f"{camera}/{name}.jpg" for camera in "123" for name in names))
-    assert list(find_capture(root + "/{camera}/{frame}.jpg", NAMES)) == names
 
 
 def test_requested_frames_are_given_in_their_order_or_what_is_missing_is_named(tmp_path: Path) -> None:
@@ -207,27 +212,6 @@ def test_masks_are_one_for_each_camera(tmp_path: Path) -> None:
         rig_with_masks(rig, f"{tmp_path}/mask.png")
 
 
-def test_digits_only_where_the_pattern_says_so(tmp_path: Path) -> None:
-    root = touch(tmp_path, *(f"{c}/{f}.jpg" for c in "123" for f in ("7", "mask")))
-    assert list(find_capture(root + "/{camera}/{frame:d}.jpg", NAMES)) == ["7"]
-    assert list(find_capture(root + "/{camera}/{frame}.jpg", NAMES, ["mask"])) == ["mask"]
-
-
-def test_a_camera_may_stand_twice_in_a_pattern(tmp_path: Path) -> None:
-    root = touch(tmp_path, *(f"cam{c}/view{c}_{f:03d}.png" for c in "123" for f in (1, 2)))
-    files = find_capture(root + "/cam{camera}/view{camera}_{frame:03d}.png", NAMES, [2])
-    assert [path.name for path in files["002"].values()] == [
-        "view1_002.png",
-        "view2_002.png",
-        "view3_002.png",
-    ]
-
-
-def test_special_characters_in_folders_are_literal(tmp_path: Path) -> None:
-    root = touch(tmp_path / "run [1] *", "cam1/1.png", "cam2/1.png", "cam3/1.png")
-    assert list(find_capture(root + "/cam{camera}/{frame}.png", NAMES)) == ["1"]
-
-
 @pytest.mark.parametrize(
     "names",
     [["cam[0]", "cam[1]", "cam*"], ["cam¹", "cam²", "cam³"], ["a b", "it's", "{x}"], ["-1", "..", "?"]],
@@ -250,14 +234,6 @@ def test_names_that_no_table_holds_are_refused(tmp_path: Path, frame: bytes) -> 
     with pytest.raises(ArgumentError, match="expected a name in UTF-8 without line ends; rename it") as error:
         find_capture(root + "/{camera}/{frame}.png", ["1"])
     assert str(error.value).isascii()
-
-
-def test_relative_patterns_start_in_the_working_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    touch(tmp_path, "cam1/1.png", "cam2/1.png", "cam3/1.png")
-    monkeypatch.chdir(tmp_path)
-    assert list(find_capture("./cam{camera}/{frame}.png", NAMES)) == ["1"]
 
 
 def test_braces_in_the_name_of_a_calibration_are_literal(tmp_path: Path) -> None:

@@ -266,10 +266,3 @@ def test_processes_give_the_same(run: Run, tmp_path: Path, scene_cache: str) -> 
     assert one["fine"] == other["fine"]
     assert one["panorama"] == other["panorama"]
     assert not math.isnan(one["fine"]["all"]["MAE"])
-
-
-def test_methods_of_a_process_are_made_once(tmp_path: Path) -> None:
-    first = running._methods(("semi-global-sweep",), 3, tmp_path)
-    assert running._methods(("semi-global-sweep",), 3, tmp_path) is first
-    assert first[0].net.level == 3
-    assert replace(TRACKS["room"], kind="hall").frame_name(1) == f"hall-{HELD_OUT_SEED + 1:08d}"

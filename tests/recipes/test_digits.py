@@ -6,7 +6,9 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -16,7 +18,7 @@ from sphericalvision.crown import CrownConv2d, from_crown, hex_conv2d, to_crown
 from sphericalvision.data import random_rotations
 from sphericalvision.data.augmentation.sphere_rotation import rotate_on_sphere, yaw_on_sphere
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.models import SphereClassifier
+from sphericalvision.models import SphereClassifier, SphereSegmenter
 from sphericalvision.models.sphere_blocks import SPHERE_NETWORKS, network_grid
 from sphericalvision.recipes.digits.aligned import AlignedCrownClassifier, AlignedCrownConv2d
 from sphericalvision.recipes.digits.dataset import (
@@ -95,17 +97,27 @@ def test_splits_share_no_digit() -> None:
 
 
 @pytest.mark.parametrize("network", SPHERE_NETWORKS)
-def test_networks_are_alike_but_for_their_convolutions(network: str) -> None:
-    net = SphereClassifier(network, level=4)
+@pytest.mark.parametrize(
+    ("make", "level", "channels", "grouped", "others"),
+    [
+        (SphereClassifier, 4, 1, 17_800, 47_300),
+        (partial(SphereSegmenter, num_classes=6), 3, 3, 27_900, 73_800),
+    ],
+    ids=["classifier", "segmenter"],
+)
+def test_networks_are_alike_but_for_their_convolutions(
+    make: Callable[..., Any], level: int, channels: int, grouped: int, others: int, network: str
+) -> None:
+    net = make(network, level=level)
     parameters = sum(parameter.numel() for parameter in net.parameters())
-    assert parameters == pytest.approx(17_800 if network == "hexgroup" else 47_300, rel=0.02)
-    assert math.prod(net.grid.shape) == pytest.approx(2562, rel=0.02)
-    values = torch.rand(2, 1, *net.grid.shape)
+    assert parameters == pytest.approx(grouped if network == "hexgroup" else others, rel=0.02)
+    assert math.prod(net.grid.shape) == pytest.approx(10 * 4**level + 2, rel=0.02 if level > 3 else 0.21)
+    values = torch.rand(2, channels, *net.grid.shape)
     logits = net(values)
-    assert logits.shape == (2, 10)
+    assert logits.shape == ((2, 10) if channels == 1 else (2, 6, *net.grid.shape))
     logits.sum().backward()
     assert all(parameter.grad is not None for parameter in net.parameters())
-    again = SphereClassifier(**net.hyperparameters)
+    again = type(net)(**net.hyperparameters)
     again.load_state_dict(net.state_dict())
     torch.testing.assert_close(again.eval()(values), net.eval()(values))
 

@@ -225,6 +225,13 @@ def test_ratios_are_those_of_the_same_seed_to_the_first_set() -> None:
     ]
 
 
+def test_a_row_of_a_set_and_a_model_has_the_mean_and_deviation_of_its_seeds() -> None:
+    measured = results({"level": {"net0": [0.5, 1.5], "net1": [2.0, 2.0], "sweep": []}})
+    table = measured.by_set("", "θ", {"0°": "level"}, [("AbsRel", "metres AbsRel", 3)])
+    assert table.columns == ("θ", "model", "AbsRel")
+    assert table.texts() == [["0°", "net", "1.500 ± 0.707"], ["0°", "sweep", "–"]]
+
+
 @pytest.mark.parametrize(("error", "best"), [("AbsRel", 0), ("d<1.25", 1)])
 def test_the_best_of_a_row_is_the_least_error_or_the_largest_fraction(error: str, best: int) -> None:
     table = results({"room": {"a": [0.25, 0.25], "b": [0.5, 0.5], "c": []}}).by_method(

@@ -19,6 +19,8 @@ from pytorch_lightning.loggers import CSVLogger
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import write_omnistereo
+from sphericalvision.models import load_weights
+from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.app.own_files import import_own_files
 from sphericalvision.recipes.app.rigs import make_ring
@@ -82,28 +84,50 @@ def test_the_runs_of_a_sweep_go_where_the_launcher_says(
     assert (tmp_path / "sweep/.submitit").is_dir() == (launcher == "submitit")
 
 
-@pytest.mark.slow
-def test_python_files_beside_ones_own_configs_are_known(
-    run: Run, tmp_path: Path, tiny_training: Words, monkeypatch: pytest.MonkeyPatch
+OWN_NETWORK = """
+from sphericalvision.models import IcoSweepNet, register_network
+
+
+class Squashed(IcoSweepNet):
+    def __init__(self, level=7, num_hypotheses=32, feature_channels=32, squash=1.0):
+        super().__init__(level, num_hypotheses, feature_channels=feature_channels, norm="instance")
+        self.squash = squash
+
+    def extract_features(self, images):
+        return super().extract_features((self.squash * images).tanh())
+
+
+register_network("squashed", Squashed)
+"""
+
+
+def test_a_network_of_ones_own_is_a_file_and_a_new_hyperparameter_two_edits(
+    run: Run,
+    failing: Callable[..., str],
+    tmp_path: Path,
+    tiny_training: Words,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A network in a folder is trained, and evaluated by the line that is printed, without a package."""
+    """Trained, saved, loaded, changed and evaluated without a package: an argument of a class, and a line of YAML."""
     monkeypatch.setattr("sys.path", [*sys.path])
     monkeypatch.setenv("PYTHONPATH", "")
-    folder = tmp_path / "mine"
-    (folder / "model").mkdir(parents=True)
-    (folder / "own_grey.py").write_text(
-        "from sphericalvision.models import IcoSweepNet, register_network\n"
-        "class Grey(IcoSweepNet):\n    pass\n"
-        "register_network('own-grey', Grey)\n"
-    )
-    (folder / "model/grey.yaml").write_text(
-        "defaults: [icosweepnet_quick, _self_]\n_target_: own_grey.Grey\n"
-    )
-    words = ("--config-dir", str(folder), "trainer.max_steps=1", "logger=none", "callbacks=none")
-    run("train", *tiny_training, "model=grey", *words, "output=run")
-    weights = tmp_path / "run/checkpoints/last.safetensors"
-    run("evaluate", *words[:2], *TINY_SCENES, f"checkpoint={weights}", "output=table", "device=cpu")
+    own, folder = ("--config-dir", str(tmp_path / "mine")), tmp_path / "run/checkpoints"
+    keys = "level: 7\nnum_hypotheses: 32\nfeature_channels: 32\nsquash: 2.5\n"
+    (tmp_path / "mine/model").mkdir(parents=True)
+    (tmp_path / "mine/own_network.py").write_text(OWN_NETWORK)
+    (tmp_path / "mine/model/squashed.yaml").write_text(f"_target_: own_network.Squashed\n{keys}")
+    words = (*tiny_training, "model=squashed", "model.squash=3.5", "trainer.max_steps=1", "logger=none")
+    run("train", *own, *words, "callbacks.panels=null", "output=run")
+    for net in (load_weights(folder / "last.safetensors"), read_network(folder / "last.ckpt")):
+        assert (net.hyperparameters["squash"], net.hyperparameters["feature_channels"]) == (3.5, 2)
+        assert net.with_changes(squash=1.0).hyperparameters == {**net.hyperparameters, "squash": 1.0}
+    weights = f"checkpoint={folder / 'last.safetensors'}"
+    run("evaluate", *own, *TINY_SCENES, weights, "output=table", "device=cpu")
     assert "last" in (tmp_path / "table/metrics.md").read_text()
+    (tmp_path / "mine/model/squashed.yaml").write_text(
+        f"_target_: own_network.Squashed\n{keys.replace('squash', 'sqash')}"
+    )
+    assert "model.sqash: " in failing("train", *own, *tiny_training, "model=squashed", "output=wrong")
 
 
 def test_faults_in_python_files_of_ones_own_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

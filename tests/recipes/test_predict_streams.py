@@ -336,21 +336,14 @@ def test_a_video_becomes_a_video(
 def test_weights_that_ship_serve_the_level_of_a_preset_and_are_named(
     run: Run, capture: Path, weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = rig_words(capture, f"images={capture}/images", "stop=1", "height=16")
-    run("predict", *words, "preset=fast", "output=out", "outputs=[npz]")
-    assert "weights refinedsweepnet" in " ".join(capsys.readouterr().out.split())
-    with np.load(tmp_path / "out/000_depth.npz") as arrays:
-        assert len(arrays["index"]) == 10 * 4**5 + 2
-    run("predict", *words, "preset=fast", f"checkpoint={weights}", "output=own", "outputs=[npz]")
-    assert "refinedsweepnet" not in capsys.readouterr().out
-
-
-def test_the_fast_preset_is_one_level_coarser(run: Run, capture: Path, weights: Path, tmp_path: Path) -> None:
-    words = rig_words(capture, f"checkpoint={weights}", "stop=1")
-    run("predict", *words, f"images={capture}/images", "preset=fast", "output=out", "outputs=[npz]")
-    with np.load(tmp_path / "out/000_depth.npz") as arrays:
-        assert arrays["depth_panorama"].shape == (160, 320)
-        assert len(arrays["index"]) == 10 * 4**3 + 2
+    """One level coarser, and half as high."""
+    words = rig_words(capture, f"images={capture}/images", "stop=1", "preset=fast", "outputs=[npz]")
+    for level, more in ((5, ()), (3, (f"checkpoint={weights}",))):
+        run("predict", *words, *more, f"output=out{level}")
+        assert ("weights refinedsweepnet" in " ".join(capsys.readouterr().out.split())) == (not more)
+        with np.load(tmp_path / f"out{level}/000_depth.npz") as arrays:
+            assert arrays["depth_panorama"].shape == (160, 320)
+            assert len(arrays["index"]) == 10 * 4**level + 2
 
 
 def test_images_of_another_size_are_told(

@@ -57,7 +57,7 @@ from tests.recipes.scanned_sets import (
     write_widedepth,
 )
 from tests.recipes.test_predict_streams import write_video
-from tests.recipes.tiny import TINY_SCENES, TINY_TRAINING, Run, command_after, write_plated_capture
+from tests.recipes.tiny import TINY_SCENES, TINY_TRAINING, Run, command_after
 
 TINY_NETWORK = tuple(word for word in TINY_TRAINING if word not in TINY_SCENES)
 
@@ -218,15 +218,6 @@ def test_scans_lie_beside_image_files_alone(tmp_path: Path, images: str) -> None
 def own_scans(folder: Path, **keys: Any) -> OwnScansDataModule:
     places = {"images": f"{folder}/{{camera}}/{{frame}}.png", "calibration": f"{folder}/rig.yaml"}
     return OwnScansDataModule(points=f"{folder}/scans", **{**places, **keys})
-
-
-def test_the_rigs_own_body_is_masked(tmp_path: Path) -> None:
-    folder = write_plated_capture(tmp_path)
-    (folder / "scans").mkdir()
-    np.save(folder / "scans/0.npy", 5 * Equirectangular(16, 32).directions.reshape(-1, 3).numpy())
-    (sample,) = own_scans(folder, masks="auto").frames("test", 32, dict)
-    assert not sample["seen"]["cam2"][72:90, 30:66].any()
-    assert sample["seen"]["cam2"][40:54, 40:54].all()
 
 
 def test_the_tolerance_is_that_between_cameras_too(tmp_path: Path) -> None:

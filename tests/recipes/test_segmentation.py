@@ -37,21 +37,6 @@ TINY = (
 )
 
 
-@pytest.mark.parametrize("network", SPHERE_NETWORKS)
-def test_networks_are_alike_but_for_their_convolutions(network: str) -> None:
-    net = SphereSegmenter(network, level=3, num_classes=6)
-    parameters = sum(parameter.numel() for parameter in net.parameters())
-    assert parameters == pytest.approx(27_900 if network == "hexgroup" else 73_800, rel=0.02)
-    values = torch.rand(2, 3, *net.grid.shape)
-    logits = net(values)
-    assert logits.shape == (2, 6, *net.grid.shape)
-    logits.sum().backward()
-    assert all(parameter.grad is not None for parameter in net.parameters())
-    again = SphereSegmenter(**net.hyperparameters)
-    again.load_state_dict(net.state_dict())
-    torch.testing.assert_close(again.eval()(values), net.eval()(values))
-
-
 @pytest.mark.parametrize("network", ["hex", "crown", "hexgroup"])
 def test_labels_turn_with_the_room(network: str) -> None:
     """A turn by a fifth about the vertical turns the logits; at the poles north is no direction."""

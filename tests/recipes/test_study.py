@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The study: tables from known numbers, what counts, pictures, and nothing done twice."""
+"""The study: what counts, pictures, and nothing done twice."""
 
 from __future__ import annotations
 
-import csv
 import errno
 import html
 import json
@@ -16,14 +15,14 @@ import numpy as np
 import pytest
 import torch
 from hydra import compose, initialize_config_module
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import write_omnistereo
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image
-from sphericalvision.models import WinnerTakesAll, save_weights
+from sphericalvision.models import save_weights
 from sphericalvision.recipes.app.cli import build, print_config
 from sphericalvision.recipes.app.rigs import make_ring
 from sphericalvision.recipes.commands import train as train_command
@@ -31,113 +30,12 @@ from sphericalvision.recipes.evaluation.loop import errors_of_frame
 from sphericalvision.recipes.evaluation.methods import Answer, Method, Scale
 from sphericalvision.recipes.evaluation.pictures import DrawnFrame, frames_sheet
 from sphericalvision.recipes.evaluation.protocols import Protocols
-from sphericalvision.recipes.evaluation.records import Record, write_json
-from sphericalvision.recipes.evaluation.results import Results
+from sphericalvision.recipes.evaluation.records import write_json
 from sphericalvision.recipes.evaluation.tables import Table, save_report
 from sphericalvision.recipes.study.models import study_models
-from sphericalvision.recipes.study.report import angle_plot, errors_by_view, study_tables
 from sphericalvision.recipes.study.tilted_views import View, view_frames
 from tests.recipes.tiny import Run, composed
 from tests.worlds import recorded_frames
-
-CONFIG = OmegaConf.create({"num_hypotheses": 16, "model": {"level": 5}})
-VIEWS = [View("fisheye", 0.0), View("fisheye", 45.0)]
-
-
-def record(mae: float, angle: float = 0.0, **others: Any) -> Record:
-    """64 frames of one evaluation, every number made from ``mae``."""
-    index = {">1": 10 * mae, ">3": 3 * mae, ">5": 2 * mae, "MAE": mae, "RMS": 4 * mae}
-    protocols = ("paper", "all", "solid_angle", "omnimvs", "seam", "off_seam")
-    protocols += ("above", "around", "below", "two", "three", "four")
-    errors = {
-        **dict.fromkeys(protocols, index),
-        "depth": {"AbsRel": mae / 10, "RMSE": mae, "d<1.25": 0.9},
-        "points": {"left_out": angle / 3, "unknown": 0.0},
-    }
-    result = Record()
-    for frame in range(64):
-        result.add(str(frame), errors | others)
-    return result
-
-
-def results_of(*more: View, **others: Any) -> Results:
-    """Of two networks with two seeds each, and of a sweep, in level and tilted views."""
-    seeds = [(label, seed) for label in ("IcoSweepNet", "OmniMVS") for seed in (0, 1)]
-    methods = [
-        Method(f"{label}/seed{seed}", WinnerTakesAll(2, 4), label=label, seed=seed) for label, seed in seeds
-    ]
-    methods.append(Method("sweep_1", WinnerTakesAll(2, 4)))
-    records = {
-        view.name: {
-            **{
-                f"{label}/seed{seed}": record(
-                    (1.0 + seed) * (3 if view.angle_deg and label == "OmniMVS" else 1),
-                    view.angle_deg,
-                    **others,
-                )
-                for label, seed in seeds
-            },
-            "sweep_1": record(5.0, view.angle_deg, **others),
-        }
-        for view in (*VIEWS, *more)
-    }
-    return Results(methods, records)
-
-
-RESULTS = results_of()
-
-
-def cells(table: Table, row: int) -> list[str]:
-    """The texts of a row of Markdown."""
-    return [cell.strip() for cell in table.markdown().splitlines()[2 + row].strip("|").split("|")]
-
-
-def test_the_papers_table_from_known_numbers() -> None:
-    """Four rows of two networks and two of the sweep; a network's are mean and deviation over its seeds."""
-    table = study_tables(RESULTS, CONFIG, VIEWS)["table"]
-    assert cells(table, 0) == [
-        *("0°", "IcoSweepNet", "15.00 ± 7.07", "4.50 ± 2.12", "3.00 ± 1.41", "1.50 ± 0.71", "6.00 ± 2.83")
-    ]
-    assert cells(table, 4)[:3] == ["45°", "OmniMVS", "45.00 ± 21.21"]
-    assert cells(table, 5) == ["45°", "sweep_1", "50.00", "15.00", "10.00", "5.00", "20.00"]
-    header, *rows = csv.reader(table.csv().splitlines())
-    assert header[:6] == ["θ", "model", ">1", ">1 sd", ">3", ">3 sd"]
-    assert [float(value) for value in rows[0][2:4]] == pytest.approx([15, 50**0.5], rel=1e-5)
-    assert rows[2][3] == ""  # one seed has no spread
-    assert len(rows) == 6
-
-
-def test_the_other_tables_from_known_numbers() -> None:
-    """Both seeds of OmniMVS grow threefold, so their ratio has no spread."""
-    tables = study_tables(RESULTS, CONFIG, VIEWS)
-    assert [cells(tables["change"], row)[1:] for row in (1, 2)] == [
-        ["1.50 ± 0.71", "4.50 ± 2.12", "3.000"],
-        ["5.00", "5.00", "1.000"],
-    ]
-    mae = "1.50 ± 0.71"
-    assert cells(tables["details"], 0) == [
-        "0°", "IcoSweepNet", "0.150 ± 0.071", mae, "0.900", *[mae] * 5, "0.0"
-    ]  # fmt: skip
-    assert cells(tables["where"], 0) == ["0°", "IcoSweepNet", *[mae] * 6]
-    panoramas = View("equirect", 0.0)
-    both = study_tables(results_of(panoramas), CONFIG, [*VIEWS, panoramas])
-    assert both["table"].rows == tables["table"].rows
-    assert set(both) - set(tables) == {"inputs"}
-    assert cells(both["inputs"], 5) == ["equirect", "sweep_1", "50.00", "15.00", "10.00", "5.00", "20.00"]
-
-
-def test_the_chart_has_means_and_deviations_over_seeds() -> None:
-    means, spreads = errors_by_view(RESULTS, "OmniMVS", "paper MAE", [view.name for view in VIEWS])
-    np.testing.assert_allclose(means, [1.5, 4.5])
-    np.testing.assert_allclose(spreads, [0.5**0.5, 3 * 0.5**0.5])
-    assert errors_by_view(RESULTS, "sweep_1", "paper >3", ["fisheye-0deg"]) == (15.0, 0.0)
-
-
-def test_what_is_not_measured_is_a_dash() -> None:
-    table = study_tables(results_of(seam={"MAE": None}), CONFIG, VIEWS)["details"]
-    assert "| – |" in table.markdown()
-    assert ",,," in table.csv()
-
 
 SCALE = Scale(num_hypotheses=8, min_depth=0.55)
 RIGHT = 7 * 0.55 * 0.5
@@ -235,7 +133,6 @@ def test_pictures_show_and_fade() -> None:
         assert some[:20].mean() < 0.5 * every[:20].mean()
         assert some[20:].mean() > 0.9 * every[20:].mean()
     assert frames_sheet({"0°": frame, "45°": plain}).shape[-1] == 3
-    assert angle_plot(RESULTS, VIEWS, 16).shape[-1] == 3
 
 
 def test_pages_show_names_as_they_are(tmp_path: Path) -> None:
@@ -321,6 +218,8 @@ def test_a_study_writes_everything_and_does_nothing_twice(
     assert [t["config"]["seed"] for t in everything["trainings"]] == [0, 1, 0, 1]
     assert "| OmniMVS |" in (out / "study.md").read_text()
     table = (out / "table.md").read_text()
+    assert (out / "table.csv").read_text().startswith("θ,model,>1,>1 sd,>3,>3 sd,")
+    assert (out / "inputs.csv").read_text().startswith("images,model,>1,")
 
     run("study", *words, "seeds=[0,1]", "inputs=equirect")
     assert (len(trainer.trained), len(measured)) == (4, 3 * 6)

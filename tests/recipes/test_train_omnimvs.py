@@ -7,16 +7,13 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
-import torch
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.images import read_image
 from sphericalvision.models import OmniMVS, load_weights, save_weights
-from sphericalvision.recipes.app.checkpoints import load_network
-from sphericalvision.recipes.app.rigs import make_ring
-from tests.recipes.tiny import TINY_SCENES, Run, command_after, write_capture
+from sphericalvision.models.weights.checkpoints import read_network
+from tests.recipes.tiny import TINY_SCENES, Run, command_after
 
 WORDS = (
     "experiment=omnimvs_small",
@@ -37,10 +34,6 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> str:
     return f"data.cache_dir={tmp_path_factory.mktemp('fisheye')}"
 
 
-def state(path: Path) -> dict[str, torch.Tensor]:
-    return torch.load(path, weights_only=True)["state_dict"]
-
-
 def test_a_training_draws_panels_and_its_best_is_evaluated(
     run: Run, tmp_path: Path, scenes: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -55,19 +48,6 @@ def test_a_training_draws_panels_and_its_best_is_evaluated(
     assert 0 < row["MAE"] < 100
 
 
-@pytest.mark.slow  # tests/recipes/test_train.py says so of IcoSweepNet
-def test_training_resumes_exactly(run: Run, tmp_path: Path, scenes: str) -> None:
-    run("train", *WORDS, scenes, "trainer.max_steps=2", "output=straight")
-    run("train", *WORDS, scenes, "trainer.max_steps=1", "output=run")
-    last = tmp_path / "run/checkpoints/last.ckpt"
-    run("train", *WORDS, scenes, "trainer.max_steps=2", "output=resumed", f"resume={last}")
-    straight, resumed = (
-        state(tmp_path / f"{name}/checkpoints/last.ckpt") for name in ("straight", "resumed")
-    )
-    for name, value in straight.items():
-        torch.testing.assert_close(resumed[name], value, rtol=0, atol=0, msg=name)
-
-
 def test_networks_are_not_mixed_up(
     run: Run, failing: Callable[..., str], tmp_path: Path, scenes: str, weights: Path
 ) -> None:
@@ -77,8 +57,8 @@ def test_networks_are_not_mixed_up(
         OmniMVS(4, feature_channels=1, output_size=(32, 64)), tmp_path / "omnimvs.safetensors"
     )
     with pytest.raises(ArgumentError, match="level: OmniMVS has no such hyper-parameter, leave it out"):
-        load_network(path, level=5)
-    assert load_network(path, min_depth=1.0).min_depth == 1.0
+        read_network(path).with_changes(level=5)
+    assert read_network(path).with_changes(min_depth=1.0).min_depth == 1.0
     sphere_only = [word for word in WORDS if not word.startswith("experiment")]
     message = failing(
         "train",
@@ -90,28 +70,3 @@ def test_networks_are_not_mixed_up(
         "output=wrong",
     )
     assert "leave out data.entries" in message
-
-
-def test_a_capture_becomes_depth_within_the_band(run: Run, tmp_path: Path) -> None:
-    net = OmniMVS(4, feature_channels=1, output_size=(16, 64), num_scales=2, aggregation="variance")
-    path = save_weights(net, tmp_path / "band.safetensors")
-    rig = make_ring(4, radius=0.2, image_size=(40, 48))
-    write_capture(tmp_path, rig, {name: torch.rand(3, 40, 48) for name in rig.names}, file="{camera}.png")
-    images = f"images={tmp_path}/cam{{camera}}.png"
-    run(
-        "predict",
-        f"calibration={tmp_path / 'rig.yaml'}",
-        images,
-        f"checkpoint={path}",
-        "output=out",
-        "height=32",
-        "device=cpu",
-        "align=false",
-    )
-    arrays = np.load(tmp_path / "out/depth.npz")
-    assert arrays["index"].shape == (16 * 64,)
-    assert arrays["directions"].shape == (16 * 64, 3)
-    known = np.isfinite(arrays["depth_panorama"])
-    assert known[8:24].all()
-    assert not known[:8].any()
-    assert not known[24:].any()

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -246,14 +245,6 @@ def test_it_takes_other_frames_and_keeps_both(run: Run, tmp_path: Path, scene_ca
 @pytest.fixture(scope="session")
 def scene_cache(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(tmp_path_factory.mktemp("benchmark_scenes"))
-
-
-def test_what_does_not_fit_is_told(failing: Callable[..., str]) -> None:
-    assert "tracks: expected" in failing("benchmark", *WORDS, "tracks=[rooms]")
-    assert "given twice" in failing("benchmark", *WORDS, "methods=[constant,constant]")
-    assert "methods: expected a list (not empty)" in failing("benchmark", *WORDS, "methods=[]")
-    assert "frames: expected" in failing("benchmark", *WORDS, "frames=0")
-    assert "first_frame: expected" in failing("benchmark", *WORDS, "first_frame=-1")
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ from sphericalvision.data import random_rotations
 from sphericalvision.data.augmentation.sphere_rotation import rotate_on_sphere, yaw_on_sphere
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import SphereClassifier, SphereSegmenter
-from sphericalvision.models.sphere_blocks import SPHERE_NETWORKS, network_grid
+from sphericalvision.models.sphere_blocks import SPHERE_NETWORKS
 from sphericalvision.recipes.digits.aligned import AlignedCrownClassifier, AlignedCrownConv2d
 from sphericalvision.recipes.digits.dataset import (
     NUM_DIGITS,
@@ -197,12 +197,6 @@ def test_aligned_crowns_convolve_as_hexagons_do_away_from_borders() -> None:
     assert shares[0] > 0.7 > 0.01 > shares[1]
     net = AlignedCrownClassifier(level=3)
     assert sum(isinstance(layer, AlignedCrownConv2d) for layer in net.modules()) == 4
-
-
-def test_mistakes_are_told(failing: Callable[..., str]) -> None:
-    assert "expected one of 'upright', 'rotated'" in failing("train", *TINY, "data.orientation=tilted")
-    assert "level: expected 3 or more" in failing("train", *TINY, "model.level=2")
-    assert network_grid("sphere", 3).shape == (16, 32)
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"{}"])

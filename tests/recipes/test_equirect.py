@@ -63,16 +63,6 @@ def test_panoramas_are_rendered_read_and_predicted(run: Run, tmp_path: Path, wei
     assert OmniStereoDataset(root, split="all").frames == [1, 2]
 
 
-def test_text_files_cannot_hold_panoramas(failing: Callable[..., str]) -> None:
-    assert "release='tiff'" in failing("render", *TINY_PANORAMAS, "release=png", "num_frames=1", "height=16")
-
-
-def test_a_file_where_a_rig_is_named_and_the_other_way_round(failing: Callable[..., str]) -> None:
-    assert "did you mean calibration?" in failing("predict", "rig=capture/config.yaml")
-    assert "rig=file rig.path=..." in failing("evaluate", "rig=capture/config.yaml")
-    assert "scene_rig: there is no such key" in failing("train", "scene_rig=ring")
-
-
 def fisheye_scenes(*words: str) -> SceneDataModule:
     tiny = [word for word in TINY_SCENES if "batch_size" not in word]
     config = composed("train", "data=fisheye_scenes", "data.cache_dir=null", *tiny, *words)

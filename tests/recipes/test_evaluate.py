@@ -206,14 +206,6 @@ def test_further_methods_see_the_same_frames(
     assert "weights is given twice" in failing("evaluate", *words, "methods=[weights.safetensors]")
 
 
-def test_samples_without_images_of_cameras_are_refused_before_anything_is_rendered(
-    run: Run, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit):
-        run("evaluate", "data=random_rigs", "photometric=true", "output=none")
-    assert "samples of RandomRigDataModule do not hold" in capsys.readouterr().err
-
-
 def test_no_table_is_written_where_nothing_is_confident_enough(
     run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -17,6 +17,7 @@ RIG = "calibration=capture/config.yaml"
 
 X = f"{RIG} images=x"
 EACH = f"{RIG} images={{camera}}.png"
+PANORAMAS = "rig=equirect4 rig.image_size=[16,32] height=16 samples_per_pixel=1"
 
 WRONG_VALUES = (
     ("train", "", "seed= seed=1.5 seed=true seed=[1] tags=mine data.batch_size=0 data.batch_size=two"),
@@ -56,6 +57,8 @@ WRONG_VALUES = (
     ("calibrate", "images=*.png board=7x5", "square=0"),
     ("calibrate", "images=*.png square=0.03", "board=seven"),
     ("evaluate", "", "split=all data.num_test=two"),
+    ("benchmark", "", "tracks=[rooms] methods=[] frames=0 first_frame=-1"),
+    ("align", X, "format=pdf"),
     ("study", "", "seeds=[] panorama_size=[8] on_change=ask"),
     ("speed", "", "seconds=0 groups=[everything] settings=[[5]] settings=[5,16] image_size=[32]"),
 )
@@ -119,6 +122,21 @@ FAULTS = (
     ("evaluate", "checkpoint=capture/half.ckpt", "half.ckpt: is not a checkpoint of sphericalvision-train"),
     ("evaluate", "checkpoint=capture/notes.txt", ".safetensors"),
     ("evaluate", "checkpoint=icosweepnet-small device=nonsense", "device: expected"),
+    ("evaluate", "checkpoint=icosweepnet-small data.augment=true", "data.augment: counts only in training"),
+    ("evaluate", "data=omnihouse data.root=x rig.image_size=[8,8]", "rig.image_size: counts only with"),
+    ("evaluate", "data=random_rigs photometric=true", "samples of RandomRigDataModule do not hold"),
+    ("evaluate", "checkpoint=icosweepnet-small data=kitti360 data.root=capture", "data.test"),
+    ("evaluate", "rig=capture/config.yaml", "rig=file rig.path=..."),
+    ("predict", f"{X} window=5", "window: counts only with poses=..."),
+    ("predict", f"{X} preset=paper", "known are fast, fine, finest, live"),
+    ("study", "study=fast", "known are paper, random_tilts, small, tiny"),
+    ("benchmark", "methods=[winner-takes-all,winner-takes-all]", "methods: winner-takes-all is given twice"),
+    ("render", f"output=x num_frames=1 {PANORAMAS} release=png", "release='tiff'"),
+    ("train", "experiment=spherical_digits data.orientation=tilted", "expected one of 'upright', 'rotated'"),
+    ("train", "experiment=spherical_digits model.level=2", "level: expected 3 or more"),
+    ("train", "experiment=quickstart resume=capture/half.ckpt", "half.ckpt is not a checkpoint"),
+    ("train", "experiment=quickstart hydra.job.chdir=true", "hydra.job.chdir: "),
+    ("train", "scene_rig=ring", "scene_rig: there is no such key"),
     ("train", "scheduler=linear", "scheduler=linear: there is no such option"),
     ("train", "data=spirs", "known are capture, "),
     ("train", "experiment=quickstart data.val_seed=10", "data.val_seed"),
@@ -160,6 +178,10 @@ PARTS = (
     ("model._target_=nothing.at.all", "model._target_: 'nothing.at.all' cannot be imported"),
     ("optimizer.betas=[1,2]", "optimizer"),
     ("optimizer.lr=nan", "optimizer"),
+    ("optimizer.lr=-1", "optimizer"),
+    ("optimizer.lr=fast", "optimizer.lr: expected a number"),
+    ("model.num_hypotheses=many", "model.num_hypotheses: expected a whole number, got 'many'"),
+    ("+data.nunber=1", "data.nunber: "),
     ("scheduler=step scheduler.milestones=100", "scheduler"),
     ("callbacks.best.mode=most", "callbacks.best"),
     ("callbacks.last.train_time_interval.minutes=often", "callbacks.last"),

@@ -256,19 +256,6 @@ def test_optuna_sweeps_if_it_is_installed(run: Run, tmp_path: Path, tiny_trainin
     assert len(json.loads((tmp_path / "sweep/sweep.json").read_text())) == 2
 
 
-def test_wrong_values_are_told_before_anything_starts(failing: Callable[..., str], tmp_path: Path) -> None:
-    words = ("experiment=quickstart", *NETWORK, "output=run")
-    assert "Invalid learning rate: -1" in failing("train", *words, "optimizer.lr=-1")
-    assert "optimizer.lr: expected a number" in failing("train", *words, "optimizer.lr=fast")
-    assert "num_hypotheses: expected a whole number, got 'many'" in failing(
-        "train", *words, "model.num_hypotheses=many"
-    )
-    assert "data.nunber: SceneDataModule has no such option" in failing("train", *words, "+data.nunber=1")
-    assert "trainer.precision: expected one of" in failing("train", *words, "trainer.precision=17")
-    (tmp_path / "cut.ckpt").write_bytes(b"PK cut")
-    assert "cut.ckpt is not a checkpoint" in failing("train", *words, "resume=cut.ckpt")
-
-
 def test_a_sweep_goes_on_after_a_run_that_fails(
     failing: Callable[..., str], tmp_path: Path, tiny_training: Words
 ) -> None:
@@ -281,7 +268,3 @@ def test_a_sweep_goes_on_after_a_run_that_fails(
     assert failed["model.norm"] == "banana"
     assert finished["MAE"] > 0
     assert "failed: norm" in (tmp_path / "sweep/sweep.md").read_text()
-
-
-def test_runs_stay_in_the_folder_that_they_are_started_in(failing: Callable[..., str]) -> None:
-    assert failing("train", "hydra.job.chdir=true").partition("Error: ")[2].startswith("hydra.job.chdir: ")

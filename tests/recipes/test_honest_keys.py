@@ -214,23 +214,6 @@ def test_every_key_of_data_is_looked_at_or_refused(
 
 
 @pytest.mark.usefixtures("capture")
-def test_keys_of_training_are_refused_where_nothing_is_trained(
-    failing: Callable[..., str], tmp_path: Path
-) -> None:
-    words = ("checkpoint=weights.safetensors", *TINY_SCENES, "output=out", "device=cpu")
-    assert "data.augment: counts only in training" in failing("evaluate", *words, "data.augment=true")
-    assert "rig.image_size: counts only with data=scenes" in failing(
-        "evaluate", "data=omnihouse", "data.root=x", "rig.image_size=[8,8]"
-    )
-    assert "window: counts only with poses=..." in failing("predict", RIG, IMAGES, "window=5")
-
-
-def test_a_command_has_its_own_presets(failing: Callable[..., str]) -> None:
-    assert "known are paper, random_tilts, small, tiny" in failing("study", "study=fast")
-    assert "known are fast, fine, finest, live" in failing("predict", RIG, IMAGES, "preset=paper")
-
-
-@pytest.mark.usefixtures("capture")
 def test_tilts_count_in_an_evaluation(run: Run, tmp_path: Path) -> None:
     words = ("checkpoint=weights.safetensors", *TINY_SCENES, "data.cache_dir=null", "device=cpu")
     for name, more in (("level", ()), ("tilted", ("data.tilts_deg=[30,30]",))):

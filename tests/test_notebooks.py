@@ -41,7 +41,7 @@ def test_notebook_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "IPython", ModuleType("IPython"))
     monkeypatch.setitem(sys.modules, "IPython.display", display)
     namespace: dict[str, object] = {"__name__": "notebook"}
-    for source in code_of(ROOT / "docs" / "tutorials" / "views.md"):
-        exec(compile(source, "views", "exec"), namespace)
+    for source in code_of(ROOT / "docs" / "tutorials" / "sweep-by-hand.md"):
+        exec(compile(source, "sweep by hand", "exec"), namespace)
     assert len(shown) == 5
     assert all(picture.startswith(b"\x89PNG") for picture in shown)

@@ -37,7 +37,7 @@ from tests.recipes.scanned_sets import (
     write_spires,
     write_widedepth,
 )
-from tests.recipes.tiny import write_streams
+from tests.recipes.tiny import TINY_BENCHMARK, write_streams
 from tests.worlds import recorded_frames
 
 __all__ = [
@@ -49,7 +49,6 @@ __all__ = [
     "furnish",
     "mentioned_in",
     "run_command",
-    "visible_python",
 ]
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -70,27 +69,17 @@ class Command(NamedTuple):
     words: list[str]
 
 
-def blocks(page: Path, language: str) -> Iterator[tuple[str, str]]:
-    """Title and body of the fenced blocks of one language."""
+def blocks(page: Path, language: str | None, visible: bool = False) -> Iterator[tuple[str, str]]:
+    """Title and body of the fenced blocks of one language or all; or only what a reader sees and copies of them."""
     for match in FENCE.finditer(page.read_text()):
-        if match["info"].split()[0] == language:
-            indent = len(match["indent"])
-            title = re.search(r'title="([^"]+)"', match["info"])
-            yield (
-                title[1] if title else "",
-                "\n".join(line[indent:] for line in match["body"].splitlines()),
-            )
-
-
-def visible_python(page: Path) -> Iterator[tuple[str, str]]:
-    """Title and body of the Python that a reader of a page sees and copies."""
-    for match in FENCE.finditer(page.read_text()):
-        info = match["info"]
-        if info.split()[0] != "python" or ('exec="true"' in info and "source=" not in info):
-            continue
-        title, indent = re.search(r'title="([^"]+)"', info), len(match["indent"])
-        lines = [line[indent:] for line in match["body"].splitlines() if HIDDEN not in line]
-        yield title[1] if title else "", "\n".join(lines)
+        info, indent = match["info"], len(match["indent"])
+        shown = 'exec="true"' not in info or "source=" in info
+        if language in (None, info.split()[0]) and (shown or not visible):
+            title = re.search(r'title="([^"]+)"', info)
+            lines = [
+                line[indent:] for line in match["body"].splitlines() if not visible or HIDDEN not in line
+            ]
+            yield title[1] if title else "", "\n".join(lines)
 
 
 def commands_of(page: Path) -> list[Command]:
@@ -218,7 +207,7 @@ def smaller(recipe: str, words: list[str], cache: Path) -> list[str]:
     if recipe in ("align", "convert", "calibrate", "export"):
         return []
     if recipe == "benchmark":
-        return [*METHODS, f"cache_dir={cache}"]
+        return [*TINY_BENCHMARK, f"cache_dir={cache}"]
     config = composed(recipe, words)
     if recipe == "inspect":
         return ["level=3"]
@@ -328,17 +317,6 @@ BENCHMARK = [
     "image_sides=[32]",
     "presets=[fast]",
     "device=cpu",
-]
-METHODS = [
-    "tracks=[room]",
-    "frames=1",
-    "level=3",
-    "panorama_rows=8",
-    "image_rows=16",
-    "align=false",
-    "samples_per_pixel=1",
-    "workers=0",
-    "panel_height=40",
 ]
 STUDY = [
     "angles_deg=[0,45]",

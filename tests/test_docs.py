@@ -18,7 +18,7 @@ import pytest
 import torch
 import yaml
 
-from tests.documented import FENCE, HIDDEN, PAGES, ROOT, blocks, commands_of, run_command, visible_python
+from tests.documented import FENCE, PAGES, ROOT, blocks, commands_of, run_command
 
 BLOCK_WIDTH = 84
 """Letters of a line of code that a window of 1280 pixels shows."""
@@ -33,7 +33,7 @@ LONG_PAGES = [ROOT / "docs" / f"{name}.md" for name in LONG]
     [
         pytest.param(page, marks=[pytest.mark.slow] * (page in LONG_PAGES))
         for page in PAGES
-        if next(visible_python(page), None) is not None and page.name != "README.md"
+        if next(blocks(page, "python", visible=True), None) is not None and page.name != "README.md"
     ],
     ids=lambda page: page.relative_to(ROOT).as_posix(),
 )
@@ -42,7 +42,7 @@ def test_python_of_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.chdir(tmp_path)
     torch.manual_seed(0)  # pages draw random images, and tests before this one do, too
     namespace: dict[str, object] = {"__name__": "page"}
-    for number, (title, source) in enumerate(visible_python(page), start=1):
+    for number, (title, source) in enumerate(blocks(page, "python", visible=True), start=1):
         if title.endswith(".py"):  # a file that a command line of the page takes, and tries
             continue
         exec(compile(source, f"{page.name}, block {number}", "exec"), namespace)
@@ -56,7 +56,7 @@ def test_the_first_screen_works_in_an_empty_folder(tmp_path: Path, monkeypatch: 
         run_command(command, tmp_path, tmp_path / "scenes")
     assert [*(tmp_path / "depth").glob("*.png")]
     namespace: dict[str, Any] = {}
-    for _, source in visible_python(readme):
+    for _, source in blocks(readme, "python", visible=True):
         exec(compile(source, "README.md", "exec"), namespace)
     assert namespace["panorama"].depth.shape == (320, 640)
     assert len(namespace["cloud"].points)
@@ -64,7 +64,7 @@ def test_the_first_screen_works_in_an_empty_folder(tmp_path: Path, monkeypatch: 
 
 @pytest.mark.parametrize("page", LONG_PAGES, ids=lambda page: page.stem)
 def test_python_of_a_long_page_imports_what_is_there(page: Path) -> None:
-    for _, source in visible_python(page):
+    for _, source in blocks(page, "python", visible=True):
         program = ast.parse(source)
         program.body = [node for node in program.body if isinstance(node, ast.Import | ast.ImportFrom)]
         exec(compile(program, page.name, "exec"), {})
@@ -72,13 +72,8 @@ def test_python_of_a_long_page_imports_what_is_there(page: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_blocks_of_a_page_fit_into_a_window(page: Path) -> None:
-    wide = []
-    for match in FENCE.finditer(page.read_text()):
-        if 'exec="true"' in match["info"] and "source=" not in match["info"]:
-            continue  # nobody sees it
-        lines = (line[len(match["indent"]) :] for line in match["body"].splitlines() if HIDDEN not in line)
-        wide += [line for line in lines if len(line) > BLOCK_WIDTH]
-    assert not wide
+    lines = "\n".join(body for _, body in blocks(page, None, visible=True)).splitlines()
+    assert not [line for line in lines if len(line) > BLOCK_WIDTH]
 
 
 def test_shapes_in_docstrings_are_no_emphasis(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -147,20 +142,7 @@ def test_cameras_are_shown_with_their_own_constructor(monkeypatch: pytest.Monkey
 
 def test_every_page_is_in_the_navigation() -> None:
     """No page is written and then forgotten."""
-    text = re.sub(r"!!python/\S+", "", (ROOT / "mkdocs.yml").read_text())
-    listed: set[str] = set()
-
-    def walk(node: object) -> None:
-        if isinstance(node, str):
-            listed.add(node)
-        elif isinstance(node, dict):
-            for value in node.values():
-                walk(value)
-        elif isinstance(node, list):
-            for value in node:
-                walk(value)
-
-    walk(yaml.safe_load(text)["nav"])
+    listed = set(re.findall(r": (\S+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE))
     assert listed == {page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md")}
 
 

@@ -30,7 +30,7 @@ from sphericalvision.recipes.evaluation.tracks import TRACKS, chosen_tracks
 from sphericalvision.scenes.world import HELD_OUT_SEED
 from sphericalvision.sphere.intake import Intake
 from sphericalvision.sweep import DepthEstimate
-from tests.recipes.tiny import Run
+from tests.recipes.tiny import TINY_BENCHMARK, Run
 
 TINY = Size(level=3, panorama_rows=8, image_rows=16, samples_per_pixel=1, preparation=AS_IT_IS)
 
@@ -164,16 +164,10 @@ def test_another_aligner_changes_all_records(monkeypatch: pytest.MonkeyPatch) ->
 
 
 WORDS = (
+    *TINY_BENCHMARK,
     "methods=[constant,semi-global-sweep]",
     "tracks=[room,tilt_0,tilt_45]",
     "frames=2",
-    "level=3",
-    "panorama_rows=8",
-    "image_rows=16",
-    "align=false",
-    "samples_per_pixel=1",
-    "workers=0",
-    "panel_height=20",
     "output=out",
 )
 

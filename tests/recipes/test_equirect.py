@@ -18,7 +18,7 @@ from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.datamodules.entries import images_of, truth_of
 from sphericalvision.recipes.datamodules.scenes import SceneDataModule
-from tests.documented import visible_python
+from tests.documented import blocks
 from tests.recipes.tiny import TINY_SCENES, Run, composed
 
 TINY_PANORAMAS = ("rig=equirect4", "rig.image_size=[16,32]")
@@ -88,7 +88,9 @@ PAGE = Path(__file__).parents[2] / "docs/tutorials/own-data.md"
 
 def own_batch(*model: str) -> tuple[dict[str, Any], DepthNetwork]:
     """The first batch of the data module that the page shows, for a network, and that network."""
-    source = next(source for title, source in visible_python(PAGE) if title.endswith("my_captures.py"))
+    source = next(
+        source for title, source in blocks(PAGE, "python", visible=True) if title.endswith("my_captures.py")
+    )
     namespace: dict[str, Any] = {"__name__": "my_captures"}
     exec(compile(source, PAGE.name, "exec"), namespace)
     net = build(composed("train", *model).model)

@@ -11,8 +11,8 @@ from types import ModuleType
 import pytest
 import torch
 
-from sphericalvision import losses
 from sphericalvision.icosphere import Icosphere, locate
+from sphericalvision.sweep.winner import winner_takes_all
 from tests.processes import python
 from tests.shape_checks import AnnotationError, CheckingLoader
 
@@ -150,15 +150,16 @@ def test_the_package_is_checked() -> None:
     """Of what nothing in the library itself refuses."""
     assert hasattr(locate, "__wrapped__")
     assert hasattr(Icosphere.sample, "__wrapped__")
-    with pytest.raises(AnnotationError, match="solid_angle_mean: mask is float32"):
-        losses.solid_angle_mean(torch.ones(2, 12), torch.ones(12), torch.ones(2, 12))
+    with pytest.raises(AnnotationError, match="winner_takes_all: cost is int64"):
+        winner_takes_all(torch.ones(1, 2, 12, dtype=torch.long))
 
 
 def test_nothing_is_checked_outside_the_tests() -> None:
     program = """
         import sys, torch
-        import sphericalvision.losses as losses, sphericalvision.icosphere as icosphere
-        losses.solid_angle_mean(torch.ones(2, 12), torch.ones(12), torch.ones(2, 12))
+        import sphericalvision.icosphere as icosphere
+        from sphericalvision.sweep.winner import winner_takes_all
+        winner_takes_all(torch.ones(1, 2, 12, dtype=torch.long))
         assert not hasattr(icosphere.icosphere_normals, "__wrapped__")
         assert not hasattr(icosphere.Icosphere.sample, "__wrapped__")
         assert not any(name.startswith("tests") or "beartype" in name for name in sys.modules)

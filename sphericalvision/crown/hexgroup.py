@@ -24,9 +24,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sphericalvision.core import ShapeError
 from sphericalvision.crown.hexagons import turned_on
 from sphericalvision.crown.hexconv import hex_conv2d, north_fraction
+from sphericalvision.shapes import check_shapes
 
 __all__ = ["HexGroupConv2d", "HexLiftConv2d", "hex_group_conv2d", "hex_lift_conv2d"]
 
@@ -59,11 +59,12 @@ def hex_lift_conv2d(
     return hex_conv2d(values, kernels, None, stride, north).unflatten(1, (-1, ORIENTATIONS))
 
 
+@check_shapes
 def hex_group_conv2d(
     values: Float[Tensor, "B C_in 6 V"],
-    weight: Float[Tensor, "C_out C_in 6 7"],
+    weight: Float[Tensor, "C_out C_weight 6 7"],
     stride: int = 1,
-    north: Float[Tensor, " V"] | None = None,
+    north: Float[Tensor, " V_north"] | None = None,
 ) -> Float[Tensor, "B C_out 6 V_out"]:
     """Convolve values in six orientations with kernels that turn in the plane and through the orientations.
 
@@ -81,13 +82,6 @@ def hex_group_conv2d(
         >>> hex_group_conv2d(torch.ones(1, 4, 6, 162), torch.ones(8, 4, 6, 7), stride=2).shape
         torch.Size([1, 8, 6, 42])
     """
-    if values.ndim != 4 or values.shape[2] != ORIENTATIONS:
-        raise ShapeError(
-            f"values: expected shape (B, C, 6, V), got {tuple(values.shape)}; HexLiftConv2d makes six orientations of "
-            "values (B, C, V)"
-        )
-    if weight.ndim != 4 or tuple(weight.shape[2:]) != (ORIENTATIONS, 7):
-        raise ShapeError(f"weight: expected shape (out, in, 6, 7), got {tuple(weight.shape)}")
     turned = [kernel.roll(k, 2) for k, kernel in enumerate(_turns(weight))]
     kernels = torch.stack(turned, 1).flatten(2, 3).flatten(0, 1)
     result = hex_conv2d(values.flatten(1, 2), kernels, None, stride, north)

@@ -5,19 +5,21 @@ from __future__ import annotations
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float, Num
+from jaxtyping import Bool, Float, Num, Shaped
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_tensor
+from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry.directions import in_single_precision
+from sphericalvision.shapes import check_shapes
 
 __all__ = ["depth_index_huber", "mean_of_samples", "solid_angle_mean"]
 
 
+@check_shapes
 def depth_index_huber(
     pred_index: Float[Tensor, " B *grid"],
     target_index: Float[Tensor, " B *grid"],
-    mask: Bool[Tensor, " B *grid"] | None = None,
+    mask: Shaped[Tensor, " B *grid"] | None = None,
     delta: float = 1.0,
     weights: Float[Tensor, " *grid"] | Float[Tensor, " B *grid"] | None = None,
 ) -> Float[Tensor, ""]:
@@ -47,30 +49,14 @@ def depth_index_huber(
         >>> depth_index_huber(torch.tensor([[0.0, 3.0]]), torch.tensor([[1.0, 0.0]]))  # (0.5 + 2.5) / 2
         tensor(1.5000)
     """
-    check_tensor("pred_index", pred_index, "(B, V)")
-    check_tensor("target_index", target_index, "(B, V)")
     if not delta > 0:
         raise ArgumentError(f"delta: expected an index difference above 0, got {delta!r}")
-    if pred_index.shape != target_index.shape:
-        raise ShapeError(
-            f"target_index: expected the shape of pred_index {tuple(pred_index.shape)}, "
-            f"got {tuple(target_index.shape)}"
-        )
-    if mask is not None and mask.shape != pred_index.shape:
-        raise ShapeError(f"mask: expected shape {tuple(pred_index.shape)}, got {tuple(mask.shape)}")
     pred_index, target_index = in_single_precision(pred_index), in_single_precision(target_index)
     if mask is not None:
         mask = mask.bool()
         pred_index, target_index = pred_index.where(mask, 0), target_index.where(mask, 0)
     losses = F.huber_loss(pred_index, target_index, delta=delta, reduction="none")
-    if weights is not None:
-        if weights.shape not in (pred_index.shape, pred_index.shape[1:]):
-            raise ShapeError(
-                f"weights: expected shape {tuple(pred_index.shape[1:])}, got {tuple(weights.shape)}"
-            )
-        point_weights = weights.to(losses).expand_as(losses)
-    else:
-        point_weights = torch.ones_like(losses)
+    point_weights = torch.ones_like(losses) if weights is None else weights.to(losses).expand_as(losses)
     point_weights = point_weights if mask is None else point_weights.where(mask, 0.0)
     return mean_of_samples(losses, point_weights)
 
@@ -88,10 +74,11 @@ def mean_of_samples(
     return _ratio((values.flatten(1) * point_weights).sum(1), point_weights.sum(1)).mean()
 
 
+@check_shapes
 def solid_angle_mean(
     values: Float[Tensor, "*values"],
     solid_angles: Float[Tensor, "*grid"],
-    mask: Bool[Tensor, " ..."] | None = None,
+    mask: Shaped[Tensor, " ..."] | None = None,
 ) -> Float[Tensor, "*batch"]:
     """Return the mean of values over the sphere, or over the part of it that a mask leaves.
 
@@ -119,9 +106,6 @@ def solid_angle_mean(
         >>> solid_angle_mean(height.abs(), grid.solid_angles)  # the mean over pixels is 0.64
         tensor(0.5002)
     """
-    check_tensor("values", values, "(*b, *shape)")
-    check_tensor("solid_angles", solid_angles, "(*shape)")
-    check_floating("values", values)
     values = in_single_precision(values)
     dims = solid_angles.ndim
     if values.ndim < dims or values.shape[values.ndim - dims :] != solid_angles.shape:

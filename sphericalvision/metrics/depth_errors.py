@@ -9,10 +9,12 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.metrics.images import MeanOverImages, absolute_error, point_weights, weighted_mean
+from sphericalvision.shapes import check_shapes
 
 __all__ = ["DepthError", "DepthIndexError", "depth_error", "depth_index_error"]
 
 
+@check_shapes
 def depth_index_error(
     pred_index: Float[Tensor, "B V"],
     target_index: Float[Tensor, "B V"],
@@ -63,6 +65,7 @@ def depth_index_error(
     }
 
 
+@check_shapes
 def depth_error(
     pred_depth: Float[Tensor, "B V"],
     target_depth: Float[Tensor, "B V"],

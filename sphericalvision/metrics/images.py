@@ -10,7 +10,7 @@ from jaxtyping import Float, Shaped
 from torch import Tensor
 from torchmetrics import Metric
 
-from sphericalvision.core import ArgumentError, ShapeError, check_tensor
+from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.directions import holds
 
 __all__ = ["MeanOverImages", "absolute_error", "point_weights", "weighted_mean"]
@@ -27,23 +27,10 @@ def point_weights(
     They are one in total per image, NaN in an image without any.
 
     Raises:
-        ShapeError: if shapes do not agree.
         ArgumentError: if a weight that counts is negative or not finite.
     """
-    for name, tensor in (("prediction", pred), ("target", target), ("mask", pred if mask is None else mask)):
-        check_tensor(name, tensor, "(B, V)")
-    if pred.ndim != 2:
-        raise ShapeError(f"prediction: expected shape (B, V), got {tuple(pred.shape)}")
-    named = {"target": target, "mask": pred if mask is None else mask}
-    for name, tensor in named.items():
-        if tensor.shape != pred.shape:
-            raise ShapeError(
-                f"{name}: expected the shape of the prediction {tuple(pred.shape)}, got {tuple(tensor.shape)}"
-            )
     fractions = torch.ones(pred.shape, dtype=torch.float64, device=pred.device)
     if weights is not None:
-        if weights.shape not in (pred.shape, pred.shape[1:]):
-            raise ShapeError(f"weights: expected shape ({pred.shape[1]},), got {tuple(weights.shape)}")
         fractions = fractions * weights
     counts = target.isfinite() if mask is None else mask.bool() & target.isfinite()
     fractions = fractions.masked_fill(~counts, 0)

@@ -8,13 +8,14 @@ from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, seen_by
-from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_last_dim
+from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.icosphere import icosphere_vertices
 from sphericalvision.icosphere.topology import vertex_at
+from sphericalvision.shapes import check_shapes
 
 __all__ = ["EvaluationMask", "evaluation_mask", "seam_mask"]
 
@@ -28,11 +29,12 @@ class EvaluationMask(NamedTuple):
     left_out: Float[Tensor, " B"]
 
 
+@check_shapes
 def evaluation_mask(
     rig: CameraRig,
     directions: Float[Tensor, "V 3"],
     inverse_depth: Float[Tensor, "B V"],
-    valid: Bool[Tensor, "B V"] | None = None,
+    valid: Shaped[Tensor, "B V"] | None = None,
     least_cameras: int = 2,
 ) -> EvaluationMask:
     """Leave out points that fewer than two cameras see: no parallax tells their depth.
@@ -65,16 +67,13 @@ def evaluation_mask(
     """
     if least_cameras < 1:
         raise ArgumentError(f"least_cameras: expected 1 or more, got {least_cameras!r}")
-    if inverse_depth.ndim != 2:
-        raise ShapeError(f"inverse_depth: expected (B, V), got {tuple(inverse_depth.shape)}")
     valid = torch.ones_like(inverse_depth, dtype=torch.bool) if valid is None else valid.bool()
-    if valid.shape != inverse_depth.shape:
-        raise ShapeError(f"valid: expected {tuple(inverse_depth.shape)}, got {tuple(valid.shape)}")
     masked = torch.where(valid, inverse_depth, 0.0)
     mask = valid & (seen_by(rig, directions, masked) >= least_cameras)
     return EvaluationMask(mask, 1 - mask.sum(1) / valid.sum(1))
 
 
+@check_shapes
 def seam_mask(
     directions: Float[Tensor, "*batch 3"], angle: float = math.radians(5), seams: str = "all"
 ) -> Bool[Tensor, "*batch"]:
@@ -101,7 +100,6 @@ def seam_mask(
         >>> seam_mask(torch.tensor([up, behind, ahead]), seams="panorama")
         tensor([ True,  True, False])
     """
-    check_last_dim("directions", directions, 3)
     check_choice("seams", seams, SEAMS)
     if not 0 < angle <= math.pi / 2:
         raise ArgumentError(f"angle: expected more than 0, up to π / 2 radians, got {angle!r}")

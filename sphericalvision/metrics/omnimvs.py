@@ -9,12 +9,14 @@ from torch import Tensor
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.metrics.depth_errors import depth_index_error
 from sphericalvision.metrics.images import MeanOverImages
+from sphericalvision.shapes import check_shapes
 
 __all__ = ["OmniMVSError", "omnimvs_error"]
 
 NUM_HYPOTHESES = 192
 
 
+@check_shapes
 def omnimvs_error(
     pred_inverse_depth: Float[Tensor, "B h w"],
     target_inverse_depth: Float[Tensor, "B h w"],
@@ -56,11 +58,12 @@ def omnimvs_error(
     if not min_depth > 0:
         raise ArgumentError(f"min_depth: expected a positive number of metres, got {min_depth!r}")
     index_from_inverse = (num_hypotheses - 1) * min_depth
-    pred = _near_horizon("prediction", pred_inverse_depth).double() * index_from_inverse
-    target = _near_horizon("target", target_inverse_depth).double() * index_from_inverse
+    pred, target = (
+        _near_horizon(x).double() * index_from_inverse for x in (pred_inverse_depth, target_inverse_depth)
+    )
     counts = (target >= 0) & (target <= num_hypotheses)
     if mask is not None:
-        counts = counts & _near_horizon("mask", mask).bool()
+        counts = counts & _near_horizon(mask).bool()
     return depth_index_error(pred, target, num_hypotheses, counts)
 
 
@@ -106,13 +109,14 @@ class OmniMVSError(MeanOverImages):
         return omnimvs_error(pred, target, self.min_depth, mask, self.num_hypotheses)
 
 
-def _near_horizon(name: str, panorama: Tensor) -> Tensor:
+def _near_horizon(panorama: Tensor) -> Tensor:
     """The rows ``(B, pixels)`` within 45 degrees of the horizon."""
-    height, width = panorama.shape[-2:] if panorama.ndim == 3 else (0, 0)
+    height, width = panorama.shape[-2:]
     if width == 4 * height > 0:
         return panorama.flatten(1)
     if width == 2 * height > 0 and height % 4 == 0:
         return panorama[:, height // 4 : 3 * height // 4].flatten(1)
     raise ShapeError(
-        f"{name}: expected (B, h, w) with w = 4h, or w = 2h and h a multiple of 4, got {tuple(panorama.shape)}"
+        "pred_inverse_depth: expected (B, h, w) with w = 4h, or w = 2h and h a multiple of 4, got "
+        f"{tuple(panorama.shape)}"
     )

@@ -12,19 +12,14 @@ from jaxtyping import Bool, Float, Integer, Num
 from torch import Tensor
 from torchmetrics import Metric
 
-from sphericalvision.core import (
-    ArgumentError,
-    ShapeError,
-    check_floating,
-    check_last_dim,
-    check_tensor,
-    check_type,
-)
+from sphericalvision.core import ArgumentError, ShapeError, check_tensor, check_type
+from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere import SphereGrid
 
 __all__ = ["SolidAngleIoU", "SolidAngleMean", "angular_error"]
 
 
+@check_shapes
 def angular_error(
     pred: Float[Tensor, "*pred 3"], target: Float[Tensor, "*target 3"]
 ) -> Float[Tensor, " ..."]:
@@ -44,10 +39,6 @@ def angular_error(
         >>> angular_error(torch.tensor([2.0, 0.0, 0.0]), torch.tensor([0.0, 0.0, 1.0]))
         tensor(1.5708)
     """
-    check_last_dim("pred", pred, 3)
-    check_last_dim("target", target, 3)
-    check_floating("pred", pred)
-    check_floating("target", target)
     pred, target = (vectors / vectors.abs().amax(-1, keepdim=True) for vectors in (pred, target))
     cross = torch.linalg.cross(*torch.broadcast_tensors(pred, target))
     return torch.atan2(cross.norm(dim=-1), (pred * target).sum(-1))

@@ -6,12 +6,14 @@ from __future__ import annotations
 from jaxtyping import Float, Shaped
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError
 from sphericalvision.metrics.images import MeanOverImages, absolute_error, point_weights, weighted_mean
+from sphericalvision.shapes import check_shapes
 
 __all__ = ["LeftRightError", "StereoError", "left_right_error", "stereo_error"]
 
 
+@check_shapes
 def stereo_error(
     pred: Float[Tensor, "B V"],
     target: Float[Tensor, "B V"],
@@ -54,6 +56,7 @@ def stereo_error(
     }
 
 
+@check_shapes
 def left_right_error(
     pred: Float[Tensor, "B h w"], target: Float[Tensor, "B h w"], mask: Shaped[Tensor, "B h w"] | None = None
 ) -> dict[str, Float[Tensor, " B"]]:
@@ -81,10 +84,6 @@ def left_right_error(
         >>> left_right_error(torch.tensor([[[1.0, 5.0, 3.0]]]), torch.tensor([[[1.0, 5.0, 2.0]]]))["LRCE"].item()
         1.0
     """
-    if pred.ndim != 3 or pred.shape != target.shape:
-        raise ShapeError(
-            f"pred, target: expected (B, h, w) both, got {tuple(pred.shape)} and {tuple(target.shape)}"
-        )
     counts = target > 0 if mask is None else mask.bool() & (target > 0)
     steps = [values.double()[..., 0] - values.double()[..., -1] for values in (target, pred)]
     fractions = point_weights(steps[1], steps[0], counts[..., 0] & counts[..., -1], None)

@@ -12,10 +12,11 @@ import torch
 from jaxtyping import Bool, Float, Num
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError, check_dtype, check_floating, check_tensor
+from sphericalvision.core import ArgumentError, ShapeError, check_dtype
 from sphericalvision.crown import set_kernel_options
 from sphericalvision.crown.recompute import recomputes
 from sphericalvision.icosphere import Icosphere, num_icosphere_vertices
+from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere.intake import Intake
 from sphericalvision.sweep import DepthEstimate, DepthHint, depth_from_index
 from sphericalvision.sweep.depth_hint import check_hint
@@ -273,6 +274,7 @@ class DepthNetwork(RemembersArguments):
         """Return what may be passed in place of a rig, as often as wanted, to compute once what follows from it."""
         return rig
 
+    @check_shapes
     def check_images(
         self,
         images: Float[Tensor, "B n C *size"],
@@ -284,9 +286,7 @@ class DepthNetwork(RemembersArguments):
         A hint for a network that takes none is an ``ArgumentError``.
         """
         on_sphere = self.images == "sphere"
-        check_tensor("images", images, "(B, n, 3, V)" if on_sphere else "(B, n, 3, H, W)")
         weight = next((value for value in self.parameters() if value.is_floating_point()), None)
-        check_floating("images", images)
         if weight is not None:
             check_dtype("images", images, weight)
         size = (num_icosphere_vertices(self.level),) if on_sphere else images.shape[3:]
@@ -303,20 +303,6 @@ class DepthNetwork(RemembersArguments):
             raise ShapeError(
                 f"images: expected shape (B, {cameras}, {channels}, {last}) for {cameras} cameras{where}, "
                 f"got {tuple(images.shape)}"
-            )
-        one = (images.shape[1], *size)
-        if seen is not None:
-            check_tensor("seen", seen, f"{one}")
-            if seen.dtype != torch.bool:
-                raise ArgumentError(
-                    f"seen: expected bool, True where images show something, got {seen.dtype}"
-                )
-        fits = seen is None or (
-            seen.ndim - len(one) in (0, 1) and tuple(seen.shape) == (images.shape[0], *one)[-seen.ndim :]
-        )
-        if seen is not None and not fits:
-            raise ShapeError(
-                f"seen: expected shape {one}, or {(images.shape[0], *one)} as the images have, got {tuple(seen.shape)}"
             )
         if hint is not None:
             self.check_takes_hints()

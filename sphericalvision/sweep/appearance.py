@@ -7,13 +7,14 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.core import ShapeError
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.kernels import full_precision
+from sphericalvision.shapes import check_shapes
 
 __all__ = ["local_appearance"]
 
 
+@check_shapes
 @full_precision
 def local_appearance(
     images: Float[Tensor, "*batch 3 V"], seen: Bool[Tensor, "*batch V"] | None = None
@@ -32,8 +33,6 @@ def local_appearance(
         >>> local_appearance(torch.zeros(2, 3, 162)).shape
         torch.Size([2, 7, 162])
     """
-    if images.ndim < 2 or images.shape[-2] != 3:
-        raise ShapeError(f"images: expected shape (*, 3, V), got {tuple(images.shape)}")
     grid = Icosphere(level_from_num_vertices(images.shape[-1]), images.dtype, images.device)
     ids = grid.neighbors.clamp(min=0)
     valid = grid.neighbors >= 0

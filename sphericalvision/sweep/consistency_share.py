@@ -9,8 +9,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.core import ShapeError, check_tensor
+from sphericalvision.core import ShapeError
 from sphericalvision.icosphere import level_from_num_vertices
+from sphericalvision.shapes import check_shapes
 from sphericalvision.sweep.correlation import correlation_evidence
 from sphericalvision.sweep.ring_mean import ids_of_coarser_level
 from sphericalvision.sweep.semi_global import SemiGlobalTables, check_tables, semi_global_tables
@@ -23,6 +24,7 @@ __all__ = ["consistency_share", "photo_consistency_share"]
 
 
 @torch.no_grad()
+@check_shapes
 def photo_consistency_share(
     index: Float[Tensor, "B V"],
     sphere_images: Float[Tensor, "B n 3 V_image"],
@@ -67,11 +69,6 @@ def photo_consistency_share(
         >>> bool(shares[0] > shares[1])
         True
     """
-    check_tensor("index", index, "(B, V)")
-    if len(index) != len(sphere_images):
-        raise ShapeError(
-            f"index: expected shape ({len(sphere_images)}, V) for as many images, got {tuple(index.shape)}"
-        )
     level, image_level = (level_from_num_vertices(x.shape[-1]) for x in (index, sphere_images))
     if level > image_level:
         raise ShapeError(f"index: expected level {image_level} or less, that of the images, got {level}")

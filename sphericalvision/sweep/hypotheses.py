@@ -14,8 +14,9 @@ import torch
 from jaxtyping import Float, Num
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, check_floating, check_tensor, check_type, short_repr
+from sphericalvision.core import ArgumentError, check_type, short_repr
 from sphericalvision.geometry.directions import in_single_precision
+from sphericalvision.shapes import check_shapes
 
 __all__ = [
     "INVERSE_DEPTH_OFFSET",
@@ -77,6 +78,7 @@ def inverse_depth_hypotheses(
     return (spaced + INVERSE_DEPTH_OFFSET).to(dtype or torch.get_default_dtype())
 
 
+@check_shapes
 def inverse_depth_from_index(
     index: Num[Tensor, "*batch"], num_hypotheses: int, min_depth: float
 ) -> Float[Tensor, "*batch"]:
@@ -89,7 +91,6 @@ def inverse_depth_from_index(
         tensor([1.0000, 2.0000])
     """
     check_hypotheses(num_hypotheses, min_depth)
-    check_tensor("index", index, "(*)")
     index = index.to(torch.promote_types(index.dtype, torch.float32))
     index = index.clamp(0.0, _MOST_INDEX)  # two floats: converters to ONNX want them alike
     return index * (1 / ((num_hypotheses - 1) * min_depth)) + INVERSE_DEPTH_OFFSET
@@ -109,6 +110,7 @@ def depth_from_index(
     return inverse_depth_from_index(index, num_hypotheses, min_depth).reciprocal()
 
 
+@check_shapes
 def index_from_inverse_depth(
     inverse_depth: Float[Tensor, "*batch"], num_hypotheses: int, min_depth: float
 ) -> Float[Tensor, "*batch"]:
@@ -122,12 +124,11 @@ def index_from_inverse_depth(
         tensor([ 0.0000,  8.0000, 16.0000])
     """
     check_hypotheses(num_hypotheses, min_depth)
-    check_tensor("inverse_depth", inverse_depth, "(*)")
-    check_floating("inverse_depth", inverse_depth)
     inverse_depth = in_single_precision(inverse_depth)
     return (inverse_depth - INVERSE_DEPTH_OFFSET).clamp(min=0) * ((num_hypotheses - 1) * min_depth)
 
 
+@check_shapes
 def index_from_depth(
     depth: Float[Tensor, "*batch"], num_hypotheses: int, min_depth: float
 ) -> Float[Tensor, "*batch"]:
@@ -139,7 +140,5 @@ def index_from_depth(
         >>> index_from_depth(torch.tensor([torch.inf, 1.0, 0.5]), num_hypotheses=17, min_depth=0.5)
         tensor([ 0.0000,  8.0000, 16.0000])
     """
-    check_tensor("depth", depth, "(*)")
-    check_floating("depth", depth)
     depth = in_single_precision(depth)
     return index_from_inverse_depth(depth.reciprocal(), num_hypotheses, min_depth)

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import level_from_num_vertices
+from sphericalvision.shapes import check_shapes
 from sphericalvision.sweep.hypotheses import depth_from_index
 from sphericalvision.sweep.semi_global import semi_global_sweep
 
@@ -24,6 +25,7 @@ ROUNDS, HYPOTHESES, SURE = 3, 32, 0.6
 
 
 @torch.no_grad()
+@check_shapes
 def nearest_depth(
     sphere_images: Float[Tensor, "B n 3 V_image"],
     rig: CameraRig,

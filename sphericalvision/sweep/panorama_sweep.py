@@ -14,6 +14,7 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.checks import check_image
 from sphericalvision.core import ArgumentError, ShapeError, check_type
 from sphericalvision.geometry.lookup import PlacesInSinglePrecision
+from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hypotheses
 
@@ -187,6 +188,7 @@ class PanoramaSweep(PlacesInSinglePrecision):
         cameras = range(tables.num_cameras)
         return torch.stack([self.camera_values(features[:, k], tables, k) for k in cameras], 1)
 
+    @check_shapes
     def seen(
         self, tables: PanoramaTables, seen: Bool[Tensor, "B n H W"] | Bool[Tensor, "n H W"] | None = None
     ) -> Bool[Tensor, "*batch n D h w"]:
@@ -201,23 +203,18 @@ class PanoramaSweep(PlacesInSinglePrecision):
         """
         if seen is None:
             return tables.seen
-        if seen.dtype != torch.bool:
-            raise ArgumentError(f"seen: expected bool, True where images show something, got {seen.dtype}")
+        check_image("seen", seen, tables.image_size, "([B,] n, h, w)", "resize it, or take rig.resized")
         seen = seen[None] if seen.ndim == 3 else seen
-        if seen.ndim != 4 or tuple(seen.shape[-2:]) != tables.image_size:
-            raise ShapeError(
-                f"seen: expected shape ([B,] n, {tables.image_size[0]}, {tables.image_size[1]}), the size that the rig "
-                f"is calibrated for, got {tuple(seen.shape)}"
-            )
         if tables.seen.ndim == 5:
             seen = seen.expand(len(tables.seen), *seen.shape[1:])
         maps = seen[:, :, None, :: self.stride, :: self.stride].to(tables.grid)
         return tables.seen & (self(maps, tables).squeeze(2) > 0.5)
 
+    @check_shapes
     def check_maps(self, features: Float[Tensor, "B n C h_f w_f"], tables: PanoramaTables) -> None:
         """Raise ``ShapeError`` unless maps and tables fit."""
         expected = map_size(tables.image_size, self.stride)
-        if features.ndim != 5 or tuple(features.shape[-2:]) != expected:
+        if tuple(features.shape[-2:]) != expected:
             raise ShapeError(
                 f"features: expected shape (B, n, C, {expected[0]}, {expected[1]}) for images of "
                 f"{tables.image_size[0]} x {tables.image_size[1]} pixels, got {tuple(features.shape)}"

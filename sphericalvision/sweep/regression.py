@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.core import ShapeError, check_floating, check_tensor
+from sphericalvision.shapes import check_shapes
 from sphericalvision.tables import constant_table
 
 __all__ = ["DepthEstimate", "depth_estimate", "soft_argmax", "soft_argmax_confidence"]
@@ -32,6 +32,7 @@ class DepthEstimate(NamedTuple):
     seen: Bool[Tensor, " B *grid"]
 
 
+@check_shapes
 def depth_estimate(logits: Float[Tensor, "B N V"], seen: Bool[Tensor, "B n N V"]) -> DepthEstimate:
     """Return the expected index, its confidence and whether two cameras saw it, each ``(B, V)``.
 
@@ -53,6 +54,7 @@ def depth_estimate(logits: Float[Tensor, "B N V"], seen: Bool[Tensor, "B n N V"]
     )
 
 
+@check_shapes
 def soft_argmax(logits: Float[Tensor, "*batch N V"]) -> Float[Tensor, "*batch V"]:
     """Return the expected hypothesis index ``(*b, V)``, 0 to N - 1, of scores ``(*b, N, V)``.
 
@@ -73,6 +75,7 @@ def soft_argmax(logits: Float[Tensor, "*batch N V"]) -> Float[Tensor, "*batch V"
     return _expectation(_probabilities(logits))
 
 
+@check_shapes
 def soft_argmax_confidence(logits: Float[Tensor, "*batch N V"]) -> Float[Tensor, "*batch V"]:
     """Return how concentrated the softmax of scores ``(*b, N, V)`` is around its mean, ``(*b, V)``, 0 to 1.
 
@@ -95,10 +98,6 @@ def soft_argmax_confidence(logits: Float[Tensor, "*batch N V"]) -> Float[Tensor,
 
 def _probabilities(logits: Tensor) -> Tensor:
     """The softmax over hypotheses, in single precision at least: bfloat16 has no number between 150 and 151."""
-    check_tensor("logits", logits, "(*b, N, V)")
-    check_floating("logits", logits)
-    if logits.ndim < 2:
-        raise ShapeError(f"logits: expected shape (*b, N, V), got {tuple(logits.shape)}")
     return logits.to(torch.promote_types(logits.dtype, torch.float32)).softmax(-2)
 
 

@@ -9,10 +9,11 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_tensor
+from sphericalvision.core import ShapeError
 from sphericalvision.geometry.lookup import PlacesInSinglePrecision, weighted_rows
 from sphericalvision.icosphere import icosphere_vertices, level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.topology import check_level, coarse_vertex_ids
+from sphericalvision.shapes import check_shapes
 from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hypotheses
 from sphericalvision.sweep.sweep_tables import SweepTables, sweep_tables
 
@@ -41,6 +42,7 @@ class SweepVolume(NamedTuple):
     seen: Bool[Tensor, "B n N *grid"]
 
 
+@check_shapes
 def sphere_sweep(
     features: Float[Tensor, "B n C V_f"],
     tables: SweepTables,
@@ -67,29 +69,15 @@ def sphere_sweep(
         torch.Size([1, 2, 5, 8, 162])
     """
     values = _look_up(features, tables)
-    points_seen = tables.seen if seen is None else _points_seen(_batched(seen, features), tables)
+    points_seen = tables.seen if seen is None else _points_seen(seen, tables)
     return SweepVolume(
         values, points_seen.expand(features.shape[0], *points_seen.shape[-3:]).permute(0, 3, 1, 2)
     )
 
 
-def _batched(seen: Tensor, features: Tensor) -> Tensor:
-    """``seen`` with a batch dimension, of one where all of the batch share it."""
-    expected = features.shape[0], features.shape[1], features.shape[3]
-    check_tensor("seen", seen, "(B, n, V) or (n, V)")
-    if seen.dtype != torch.bool:
-        raise ArgumentError(f"seen: expected bool, True where images show something, got {seen.dtype}")
-    if seen.ndim == 2:
-        seen = seen[None]
-    if seen.ndim != 3 or seen.shape[1:] != expected[1:] or seen.shape[0] not in (expected[0], 1):
-        raise ShapeError(
-            f"seen: expected shape {expected} or {expected[1:]}, as the features have, got {tuple(seen.shape)}"
-        )
-    return seen
-
-
 def _points_seen(seen: Tensor, tables: SweepTables) -> Tensor:
-    """Whether more than half of what is looked up at a point was seen, ``([B,] N, V, n)``, of seen ``(B, n, V_f)``."""
+    """Whether more than half of what is looked up at a point was seen ``([B,] n, V_f)``, as ``([B,] N, V, n)``."""
+    seen = seen[None] if seen.ndim == 2 else seen
     if tables.seen.ndim == 4:
         seen = seen.expand(len(tables.seen), *seen.shape[1:])
     fraction = _look_up(seen.unsqueeze(2).to(tables.weights), tables)[:, :, 0].permute(0, 2, 3, 1)
@@ -99,8 +87,6 @@ def _points_seen(seen: Tensor, tables: SweepTables) -> Tensor:
 def _look_up(features: Tensor, tables: SweepTables) -> Tensor:
     """Values ``(B, n, C, N, V)`` of features ``(B, n, C, V_f)``, linear in each triangle."""
     ids, weights, _ = tables
-    if features.ndim != 4:
-        raise ShapeError(f"features: expected shape (B, n, C, V), got {tuple(features.shape)}")
     batch, num_cameras, channels, num_vertices = features.shape
     if tables.num_cameras != num_cameras:
         raise ShapeError(
@@ -164,6 +150,7 @@ class SphereSweep(PlacesInSinglePrecision):
         """Return the tables of a rig, to be passed to ``forward`` in its place as often as wanted."""
         return sweep_tables(self.directions, self.inverse_depths, rig, self.feature_level)
 
+    @check_shapes
     def forward(
         self,
         features: Float[Tensor, "B n C V_f"],
@@ -182,9 +169,7 @@ class SphereSweep(PlacesInSinglePrecision):
             ShapeError: if the features are on another level or of another number of cameras than the rig.
         """
         expected = num_icosphere_vertices(self.feature_level)
-        check_tensor("features", features, f"(B, n, C, {expected})")
-        check_floating("features", features)
-        if features.ndim != 4 or features.shape[-1] != expected:
+        if features.shape[-1] != expected:
             raise ShapeError(
                 f"features: expected shape (B, n, C, {expected}) on level {self.feature_level}, "
                 f"got {tuple(features.shape)}"
@@ -201,7 +186,6 @@ class SphereSweep(PlacesInSinglePrecision):
 
     def _coarsened(self, seen: Tensor) -> Tensor:
         """``seen`` at the vertices that the features' icosphere and the finer one share."""
-        check_tensor("seen", seen, "(B, n, V) or (n, V)")
         for level in range(level_from_num_vertices(seen.shape[-1]), self.feature_level, -1):
             seen = seen[..., coarse_vertex_ids(level, seen.device)]
         return seen

@@ -13,9 +13,9 @@ from torch.nn.modules.batchnorm import _BatchNorm
 from torch.utils.checkpoint import checkpoint
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.crown.fast import operators_in_use, recomputation_pays
+from sphericalvision.crown.fast import mode_in_use, recomputation_pays
 from sphericalvision.crown.layout import Crown
-from sphericalvision.kernels import kernel_mode, kernels
+from sphericalvision.kernels import kernels
 
 __all__ = ["RecomputedModule", "recompute_if_large", "recomputes", "set_kernel_options"]
 
@@ -64,9 +64,7 @@ def recompute_if_large(module: nn.Module, crown: Crown) -> Any:
 
 def _checkpointed(run: Callable[..., Any], module: nn.Module, *inputs: Any) -> Any:
     """Call ``run``, which applies a module, keep its inputs alone, and call it once more in the backward pass."""
-    # The same way twice, or other tensors would be saved than are asked for: operators may be compiled in between.
-    way = kernel_mode()
-    way = "plain" if way == "auto" and not operators_in_use() else way
+    way = mode_in_use()  # twice, or other tensors would be saved than are asked for
 
     def contexts() -> tuple[AbstractContextManager[None], AbstractContextManager[None]]:
         return kernels(way), _StatisticsRestored(module, way)

@@ -23,6 +23,7 @@ from torch import Tensor
 from sphericalvision.geometry.bilinear import wrap_panorama
 from sphericalvision.geometry.directions import broadcast_shapes, components, from_components
 from sphericalvision.geometry.lookup import PlacesInSinglePrecision, weighted_sums
+from sphericalvision.kernels import Operator
 
 __all__ = ["ImageLookup", "PaddedLookup", "SeamLookup", "image_lookup", "taps_across_edges"]
 
@@ -123,24 +124,28 @@ class ImageLookup(PlacesInSinglePrecision):
         grid = self.grid.to(images.dtype).expand(*batch, *self.grid.shape[-3:])
         grid = grid.reshape(math.prod(batch), *grid.shape[-3:])
         flat = images.expand(*batch, *size).reshape(math.prod(batch), *size)
-        chunks = self._count_chunks(flat)
-        if chunks > 1:
-            grid, flat = grid.view(chunks, -1, *grid.shape[2:]), flat.expand(chunks, *size)
-        samples = F.grid_sample(flat, grid, self.mode, padding_mode="zeros", align_corners=True)
-        if chunks > 1:
-            samples = samples.transpose(0, 1)
+        samples = _sample(flat, grid, self.mode)
         return samples.reshape(*batch, size[0], *self.grid.shape[-3:-1]).to(dtype)
 
-    def _count_chunks(self, images: Tensor) -> int:
-        """Into how many chunks results are cut: on a CPU ``grid_sample`` gives each image of a batch to one thread."""
-        if torch.compiler.is_compiling() or images.shape[0] > 1 or images.device.type != "cpu":
-            return 1
-        if torch.get_num_threads() == 1 or not self.grid.numel():
-            return 1
-        if torch.is_grad_enabled() and (images.requires_grad or self.grid.requires_grad):
-            return 1
-        count = self.grid.shape[-3]
-        return next(chunks for chunks in range(_MAX_CHUNKS, 0, -1) if count % chunks == 0)
+
+def _sample_at_once(images: Tensor, grid: Tensor, mode: str) -> Tensor:
+    """Values ``(b, C, P, m)`` of images ``(b, C, h, w)`` at positions ``(b, P, m, 2)``."""
+    return F.grid_sample(images, grid, mode, padding_mode="zeros", align_corners=True)
+
+
+def _sample_in_chunks(images: Tensor, grid: Tensor, mode: str) -> Tensor:
+    """Cut the results of one image into chunks: on a CPU ``grid_sample`` gives each image of a batch to one thread."""
+    if len(images) != 1 or torch.get_num_threads() == 1 or not grid.numel():
+        return NotImplemented
+    if torch.is_grad_enabled() and (images.requires_grad or grid.requires_grad):
+        return NotImplemented
+    chunks = next(chunks for chunks in range(_MAX_CHUNKS, 0, -1) if grid.shape[1] % chunks == 0)
+    chunked = grid.view(chunks, -1, *grid.shape[2:])
+    samples = _sample_at_once(images.expand(chunks, *images.shape[1:]), chunked, mode)
+    return samples.transpose(0, 1).flatten(1, 2)[None]
+
+
+_sample = Operator(_sample_at_once, cpu=_sample_in_chunks)
 
 
 class SeamLookup(ImageLookup):

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from typing import Any
 
 import pytest
 import torch
@@ -73,11 +74,17 @@ def test_threads_share_the_results_of_one_image(monkeypatch: pytest.MonkeyPatch)
     images, pixels = rand(3, *SIZE), positions(36, 2)
     lookup = image_lookup(pixels, torch.ones(36, 2, dtype=torch.bool), SIZE, rand(36, 2), "sphere")
     expected = lookup(images)
-    monkeypatch.setattr(torch, "get_num_threads", lambda: 4)
-    assert lookup._count_chunks(images[None]) == 6
-    torch.testing.assert_close(lookup(images), expected)
-    monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
-    torch.testing.assert_close(lookup(images), expected)
+    chunks, grid_sample = [], torch.nn.functional.grid_sample
+
+    def sampled(images: Tensor, *arguments: Any, **options: Any) -> Tensor:
+        chunks.append(len(images))
+        return grid_sample(images, *arguments, **options)
+
+    monkeypatch.setattr(torch.nn.functional, "grid_sample", sampled)
+    for threads in (4, 1):
+        monkeypatch.setattr(torch, "get_num_threads", lambda threads=threads: threads)
+        torch.testing.assert_close(lookup(images), expected)
+    assert chunks == [6, 1]
 
 
 @pytest.mark.parametrize("size", [SIZE, (1, 8), (5, 1)])

@@ -137,10 +137,10 @@ def test_operators_may_become_ready_in_the_middle_of_a_training_step(
     net.train().configure(recompute=recompute)
     asked, ready_after = 0, 0
 
-    def ready(way: str) -> bool:
+    def ready(way: str, may_load: bool) -> bool:
         nonlocal asked
         asked += 1
-        return asked > ready_after and door_to_operators(way)
+        return asked > ready_after and door_to_operators(way, may_load)
 
     door_to_operators = cpp.operators_ready
     monkeypatch.setattr(cpp, "operators_ready", ready)

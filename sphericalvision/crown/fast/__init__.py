@@ -18,7 +18,7 @@ from torch import Tensor
 
 from sphericalvision.crown import hexagons, places, statistics, taps
 from sphericalvision.crown.fast import cpp, lookups, slices
-from sphericalvision.crown.fast.cpp import operators_in_use, recomputation_pays
+from sphericalvision.crown.fast.cpp import mode_in_use, recomputation_pays
 from sphericalvision.crown.statistics import CrownNorm, Pair
 from sphericalvision.kernels import Operator
 
@@ -28,9 +28,9 @@ __all__ = [
     "fold",
     "hex_convolve2d",
     "hex_convolve3d",
+    "mode_in_use",
     "normalize",
     "normalize_and_convolve",
-    "operators_in_use",
     "recomputation_pays",
     "unfold",
 ]

@@ -70,15 +70,19 @@ class _State:
     lock_file: IO[str] | None = None
 
 
-def operators_ready(way: str) -> bool:
+def operators_ready(way: str, may_load: bool = True) -> bool:
     """Whether operators are to be used in a way of ``kernels``; asked before each of them.
+
+    Args:
+        way: the mode of ``kernels``.
+        may_load: whether a library that is not loaded yet may be.
 
     Raises:
         MissingCompilerError: with ``"require"``, if they cannot be had.
     """
     if way not in ("auto", "require"):
         return False
-    if _State.loaded or torch.compiler.is_compiling():  # who traces a function cannot load a library
+    if _State.loaded or not may_load:
         return _State.loaded
     if way == "require":
         with _State.lock:

@@ -27,6 +27,7 @@ __all__ = [
     "convolve_vertices",
     "hexagons2d",
     "hexagons3d",
+    "mode_in_use",
     "normalize",
     "normalize_and_convolve",
     "operators_in_use",
@@ -36,7 +37,14 @@ __all__ = [
 
 def operators_in_use() -> bool:
     """Whether the mode of ``kernels`` asks for operators in C++, and they are compiled."""
-    return operators_ready(kernel_mode())
+    # Who traces a function cannot load a library.
+    return operators_ready(kernel_mode(), may_load=not torch.compiler.is_compiling())
+
+
+def mode_in_use() -> str:
+    """The mode of ``kernels`` that computes as this moment does: operators may be compiled in the next one."""
+    mode = kernel_mode()
+    return "plain" if mode == "auto" and not operators_in_use() else mode
 
 
 def recomputation_pays(values: Float[Tensor, " ..."]) -> bool:

@@ -102,22 +102,7 @@ def convolve_crown(
     return Crown(*convolve_rectangles(*crown, weight, bias, stride, relu))
 
 
-class _CrownConv(HexagonWeights):
-    """Weights of a crown convolution."""
-
-    def __init__(
-        self,
-        in_channels: int,
-        out_channels: int,
-        stride: int = 1,
-        bias: bool = False,
-        *,
-        kernel_size: None = None,
-    ) -> None:
-        super().__init__(in_channels, out_channels, stride, bias, kernel_size)
-
-
-class CrownConv2d(_CrownConv):
+class CrownConv2d(HexagonWeights):
     """Hexagonal convolution on a crown with weight ``(out, in, 7)``; see ``crown_conv2d``.
 
     Args:
@@ -138,7 +123,7 @@ class CrownConv2d(_CrownConv):
         return crown_conv2d(crown, self.weight, self.bias, self.stride)
 
 
-class CrownConv3d(_CrownConv):
+class CrownConv3d(HexagonWeights):
     """Hexagonal convolution on a crown of volumes with weight ``(out, in, 21)``; see ``crown_conv3d``.
 
     Args:

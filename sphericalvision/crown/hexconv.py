@@ -205,7 +205,7 @@ class _HexConv(HexagonWeights):
         *,
         kernel_size: None = None,
     ) -> None:
-        super().__init__(in_channels, out_channels, stride, bias, kernel_size)
+        super().__init__(in_channels, out_channels, stride, bias, kernel_size=kernel_size)
         check_choice("orientation", orientation, ORIENTATIONS)
         if orientation == "north" and level is None:
             raise ArgumentError("level: expected the level of the values for orientation 'north', got None")

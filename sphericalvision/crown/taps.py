@@ -57,7 +57,13 @@ class HexagonWeights(nn.Module):
     taps: int
 
     def __init__(
-        self, in_channels: int, out_channels: int, stride: int, bias: bool, kernel_size: object = None
+        self,
+        in_channels: int,
+        out_channels: int,
+        stride: int = 1,
+        bias: bool = False,
+        *,
+        kernel_size: None = None,
     ) -> None:
         super().__init__()
         check_counts(in_channels=in_channels, out_channels=out_channels)

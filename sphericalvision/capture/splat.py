@@ -101,21 +101,39 @@ class SplatScene:
         self._views: dict[str, list[_View]] = {}
         self._coarse: dict[str, Camera] = {}
         self._frames: dict[str, dict[str, CameraRig]] = {}
+        self._behind: dict[str, tuple[list[str], Depth]] = {}
 
     @torch.inference_mode()
     @full_precision
     def add(self, frame: str, depth: Depth) -> None:
-        """Write images and maps of a frame; of a window those of the moment that it is called by."""
+        """Write images and maps of a frame; of a window those of the moment that it is called by.
+
+        No window is called by an end of a walk: the first one brings the moments before its own, and the last one those
+        behind it when the models are written.
+        """
+        moments: dict[str, list[str]] = {}
+        for name in depth.rig.names:
+            moments.setdefault(name.rsplit("@", 1)[-1], []).append(name)
+        if frame not in moments:  # the rig is no window
+            moments = {frame: depth.rig.names}
+        order = list(moments)
+        middle = order.index(frame)
+        if not self._frames:
+            self._origin = depth.rig.to("cpu").origin
+            for moment in order[:middle]:
+                self._add_moment(moment, moments[moment], depth)
+        self._add_moment(frame, moments[frame], depth)
+        self._behind = {moment: (moments[moment], depth) for moment in order[middle + 1 :]}
+
+    def _add_moment(self, frame: str, moment: list[str], depth: Depth) -> None:
+        """Write images and maps of the cameras of one moment of a rig."""
         rig = depth.rig.to("cpu")
-        moment = [name for name in rig.names if name.rsplit("@", 1)[-1] == frame] or rig.names
         names = ["camera"] if moment == [frame] else [name.rsplit("@", 1)[0] for name in moment]
         own = rig.subset(moment)
         own = CameraRig(
             dict(zip(map(part_of_name, names), own.cameras.values(), strict=True)), own.world_from_camera
         )
         masks = {name: rig.masks.get(view) for name, view in zip(own.names, moment, strict=True)}
-        if not self._frames:
-            self._origin = rig.origin
         if not self._views:
             self._begin(own, masks, math.sqrt(4 * math.pi / depth.index.numel()))
         frame = part_of_name(frame or "0")
@@ -133,8 +151,12 @@ class SplatScene:
                 self._write(view, frame, image, maps, valid)
         self._frames[frame] = {kind: CameraRig(cameras[kind], torch.stack(poses[kind])) for kind in cameras}
 
+    @torch.inference_mode()
+    @full_precision
     def close(self, cloud: SurfacePoints) -> list[Path]:
         """Write the models, with these points of the world that poses are in; returns their files."""
+        for moment, (names, depth) in self._behind.items():
+            self._add_moment(moment, names, depth)
         points = cloud.points.cpu().double() - self._origin
         colors = (255 * cloud.colors.cpu().clamp(0, 1)).round().byte()
         written = []
@@ -167,7 +189,7 @@ class SplatScene:
                     save_point_cloud(folder / "points3D.ply", points.float(), colors, cloud.normals)
                 )
             write_json(folder / "transforms.json", content)
-        self._frames = {}
+        self._frames, self._behind = {}, {}
         return written
 
     def _begin(self, rig: CameraRig, masks: Mapping[str, Tensor | None], spacing: float) -> None:

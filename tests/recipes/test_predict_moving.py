@@ -30,6 +30,7 @@ from sphericalvision.capture.alignment import RigTurns
 from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.images import read_image, write_image, write_mask
+from sphericalvision.models import SemiGlobalSweep
 from sphericalvision.recipes.app.captures import PosedCapture
 from sphericalvision.recipes.app.checks import typed
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
@@ -159,7 +160,7 @@ def test_windows_are_the_rigs_that_poses_say(run: Run, capture: Path, tmp_path: 
     trajectory = read_trajectory(capture / "poses.txt").turned("z")
     rig = trajectory.rig(EquirectangularCamera(SIZE), [2, 4, 5])
     images = {str(number): read_image(capture / f"walk/{number:03d}.png") for number in (2, 4, 5)}
-    predictor = Predictor(rig, method="semi_global", level=3, num_hypotheses=8, min_depth=0.5)
+    predictor = Predictor(rig, SemiGlobalSweep(3, 8, depth_coarsening=1), min_depth=0.5)
     with np.load(tmp_path / "out/004_depth.npz") as arrays:
         np.testing.assert_allclose(arrays["center"], rig.center, atol=1e-6)
         np.testing.assert_allclose(arrays["index"], predictor(images).index, atol=1e-4)
@@ -228,7 +229,7 @@ def test_a_rig_that_moves_sees_more_than_one_that_stands(
     written = sorted(path.name for path in (tmp_path / "out").glob("*.npz"))
     assert written == ["10.204_depth.npz", "10.304_depth.npz"]
     trajectory = read_trajectory(drive / "poses.txt")
-    options: Any = {"method": "semi_global", "level": 4, "num_hypotheses": 16, "min_depth": 0.5}
+    options: Any = {"method": "semi_global", "level": 4, "min_depth": 0.5}
     errors = {}
     for time, window in {"standing": [1], "moving": [0, 1, 2]}.items():
         rig = trajectory.rig(TWO, window)
@@ -264,7 +265,7 @@ def test_splat_is_one_data_set_of_all_frames_with_the_images_of_their_moments(
     assert changed == (scene / "transforms.json").stat().st_mtime_ns
     assert not (tmp_path / "out/fused.npz").exists()
     if taken == "drive":
-        assert frames == ["10.204", "10.304"]
+        assert frames == ["10.104", "10.204", "10.304", "10.404"]  # ends are the middle of no window
         expected = read_trajectory(folder / "poses.txt").rig(TWO, [1, 2])
         torch.testing.assert_close(images.positions.float(), expected.positions, atol=1e-5, rtol=0)
         written, read = scene / "images/cam2/10.304.png", folder / "drive/cam2/10.304.png"

@@ -329,7 +329,6 @@ Predictor(camera()) -> rig: ArgumentType
 Predictor(rig(), method='semi_global', level=50) -> level: Argument
 Predictor(rig(), device='gpu') -> device: Argument
 Predictor(rig(), method='magic') -> method: Argument
-Predictor(rig(), num_hypotheses=-1) -> num_hypotheses: Argument
 sees(3) -> images: Argument
 sees(pictures('a.png')) -> images['cam1']: Argument
 sees({'cam1': torch.zeros(3, 24, 24)}) -> images: Argument

@@ -24,8 +24,10 @@ from sphericalvision.capture.export import (
     onnx_difference,
     rig_tables,
 )
+from sphericalvision.capture.predictor import with_own
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.files import atomic_write
+from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.recipes.app.cli import print_config, say
 from sphericalvision.recipes.app.kinds import STRICT, Count, Positive, Text
 from sphericalvision.recipes.app.rigs import Calibration, names_of
@@ -72,11 +74,10 @@ def export(config: ExportConfig, folder: Path) -> list[Path]:
     min_depth = None if config.min_depth == "auto" else config.min_depth
     predictor = Predictor(
         rig,
-        config.checkpoint,
+        with_own(read_network(config.checkpoint), False, num_hypotheses=config.num_hypotheses),
         method=config.method,
         min_depth=min_depth,
         level=config.level,
-        num_hypotheses=config.num_hypotheses,
         device=config.device,
         precision=config.precision,
     )

@@ -27,6 +27,7 @@ from sphericalvision.capture.checks import pose_agreement
 from sphericalvision.capture.estimating import Estimate, estimate_frames, ordered_map
 from sphericalvision.capture.leveling import leveling_turn
 from sphericalvision.capture.outputs import Outputs
+from sphericalvision.capture.predictor import with_own
 from sphericalvision.capture.preparation.nearest import checked_min_depth
 from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.capture.result_folder import Settings
@@ -36,6 +37,7 @@ from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.io.files import part_of_name
 from sphericalvision.io.images import write_mask
 from sphericalvision.io.yaml_files import read_yaml
+from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.models.weights.files import identity_of
 from sphericalvision.models.weights.pretrained import DEFAULT
 from sphericalvision.recipes.app.captures import AUTO, FLOOR, PosedCapture
@@ -170,16 +172,16 @@ def predictor_for(rig: CameraRig, config: PredictConfig) -> Predictor:
     Raises:
         ArgumentError: the network needs another number of cameras.
     """
+    net = with_own(read_network(config.checkpoint), False, num_hypotheses=config.num_hypotheses)
+    net.trained_radius = config.trained_radius
     return Predictor(
         rig,
-        config.checkpoint,
+        net,
         method=config.method,
         min_depth=config.min_depth,
         level=config.level,
-        num_hypotheses=config.num_hypotheses,
         device=choose_device(config.device),
         preparation=config.preparation,
-        trained_radius=config.trained_radius,
     )
 
 

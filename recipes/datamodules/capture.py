@@ -192,7 +192,8 @@ class CaptureDataModule(CaptureFields, PreparedSamples):
 
     def _nearest(self, rig: CameraRig, photographs: dict[str, dict[str, Tensor]]) -> float:
         assert self.net is not None
-        nearest = nearest_hypothesis(self.min_depth, self.net, rig, self.trained_radius)
+        self.net.trained_radius = self.trained_radius
+        nearest = nearest_hypothesis(self.min_depth, self.net, rig)
         if nearest.metres is not None:
             return nearest.metres
         return nearest.in_frames([_floats(photographs[name]) for name in spread_evenly(self.names, 3)], rig)

@@ -95,20 +95,15 @@ class Pipeline:
         self,
         images: Mapping[str, Shaped[Tensor, "*batch c _ _"]],
         preparation: Preparation,
-        channels: str,
         hint: DepthHint | None = None,
     ) -> Frame:
         """Return the answer for images as ``ordered_images`` returns them, on the device of the network."""
         frame = self._graphed if self.on_cuda else self.frame
-        result: Frame = frame(*images.values(), *(hint or ()), preparation=preparation, channels=channels)
+        result: Frame = frame(*images.values(), *(hint or ()), preparation=preparation)
         return result
 
     def frame(
-        self,
-        *images: Tensor,
-        preparation: Preparation,
-        channels: str,
-        estimate: GraphedFunction | None = None,
+        self, *images: Tensor, preparation: Preparation, estimate: GraphedFunction | None = None
     ) -> Frame:
         """Return the answer for the images of the cameras in order; ``estimate`` may stand for the network.
 
@@ -116,7 +111,7 @@ class Pipeline:
         """
         number = len(self.rig)
         images, hint = images[:number], images[number:]
-        colors = [as_colors(image, channels) for image in images]
+        colors = map(as_colors, images)
         inputs, corrections = self.inputs(dict(zip(self.rig.names, colors, strict=True)), preparation)
         result, trust = (estimate or self.estimate)(inputs, *hint)
         return Frame(result, corrections, trust)

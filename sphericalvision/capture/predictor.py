@@ -40,7 +40,6 @@ from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sphere.intake import as_colors, ordered_images
 from sphericalvision.sweep import DepthHint
-from sphericalvision.sweep.hypotheses import check_hypotheses
 from sphericalvision.threads import available_cores
 
 __all__ = ["METHODS", "Predictor"]
@@ -53,13 +52,13 @@ HARDLY = 0.5
 class Colors(Mapping[str, Tensor]):
     """Camera name -> ``(*b, 3, h, w)`` in [0, 1], of bytes or floats that become it when somebody first asks."""
 
-    def __init__(self, images: Mapping[str, Tensor], channels: str) -> None:
-        self._images, self._channels = dict(images), channels
+    def __init__(self, images: Mapping[str, Tensor]) -> None:
+        self._images = dict(images)
         self._colors: dict[str, Tensor] = {}
 
     def __getitem__(self, name: str) -> Tensor:
         if name not in self._colors:
-            self._colors[name] = as_colors(self._images[name], self._channels)
+            self._colors[name] = as_colors(self._images[name])
         return self._colors[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -107,14 +106,11 @@ class Predictor:
             ``"scene"``.
         level: icosphere level of the images; by default that of the training, 6 if no weights are given. One level
             less is three times as fast.
-        num_hypotheses: N; by default that of the training.
         device: where to compute; by default the device of the network, which is the CPU if it was read from weights.
         preparation: how images are made ready before depth is estimated, ``Preparation()`` when not given: noise is
             smoothed, light compensated. ``align_rig`` finds out whether cameras are turned, from a few frames.
-        channels: order of the channels of colour images: ``"rgb"``, or ``"bgr"`` as OpenCV reads them.
         precision: that the network computes in; geometry, light and noise, and the mean over hypotheses are float32.
             Less is faster on a GPU, and hardly less exact.
-        trained_radius: metres; radius of the rigs that the network was trained with.
 
     Attributes:
         rig: the cameras, on the device.
@@ -145,23 +141,17 @@ class Predictor:
         method: Literal["network", "semi_global"] = "network",
         min_depth: float | Literal["auto", "scene"] | None = "auto",
         level: int | None = None,
-        num_hypotheses: int | None = None,
         device: torch.device | str | None = None,
         preparation: Preparation | None = None,
-        channels: Literal["rgb", "bgr"] = "rgb",
         precision: Literal["float32", "bfloat16", "float16"] = "float32",
-        trained_radius: float = 0.2,
     ) -> None:
         check_type("rig", rig, CameraRig, "ring_rig makes one, read_rig reads one")
         check_single(rig)
         check_choice("method", method, METHODS)
-        check_choice("channels", channels, ("rgb", "bgr"))
         check_choice("precision", precision, PRECISIONS)
         if level is not None:
             check_level(level)
         net = weights if isinstance(weights, DepthNetwork) else read_network(weights)
-        if num_hypotheses is not None:
-            check_hypotheses(num_hypotheses, net.min_depth)
         check_number(net, rig)
         if len(rig) < 2 and (method == "semi_global" or net.num_cameras > 1):
             raise ArgumentError(
@@ -170,22 +160,20 @@ class Predictor:
             )
         if len(rig) > 1:
             check_places(rig)
-        self._nearest: NearestHypothesis = nearest_hypothesis(
-            min_depth, net, rig, trained_radius, method == "network"
-        )
+        self._nearest: NearestHypothesis = nearest_hypothesis(min_depth, net, rig, method == "network")
         self.min_depth = self._nearest.metres
         self.device = net.device if device is None else checked_device(device)
         self.rig = rig.to(self.device)
         self.preparation = Preparation() if preparation is None else preparation
-        self._channels, self._precision = channels, precision
+        self._precision = precision
         nearest = net.min_depth if self.min_depth is None else self.min_depth
         if method == "semi_global":  # one level coarser than the images
             from sphericalvision.models import SemiGlobalSweep
 
             level = level or (net.level if net.images == "sphere" else SCENE_LEVEL - 1)
-            net = SemiGlobalSweep(level, num_hypotheses or net.num_hypotheses, nearest, depth_coarsening=1)
+            net = SemiGlobalSweep(level, net.num_hypotheses, nearest, depth_coarsening=1)
         else:
-            net = with_own(net, net is weights, level=level, num_hypotheses=num_hypotheses, min_depth=nearest)
+            net = with_own(net, net is weights, level=level, min_depth=nearest)
         self._network = net.eval().to(self.device)
         self._lock = threading.Lock()
         self._pipeline: Pipeline | None = None
@@ -249,9 +237,7 @@ class Predictor:
         Args:
             frames: of images by camera name, as the predictor is called with, one frame each.
         """
-        return self._nearest.in_frames(
-            [Colors(self._on_device(images), self._channels) for images in frames], self.rig
-        )
+        return self._nearest.in_frames([Colors(self._on_device(images)) for images in frames], self.rig)
 
     @no_more_threads_than_cores()
     @torch.inference_mode()
@@ -268,14 +254,14 @@ class Predictor:
             ShapeError: an image has another size than its camera.
         """
         ordered = self._on_device(images)
-        colors = Colors(ordered, self._channels)
+        colors = Colors(ordered)
         pipeline = self._pipeline_for(colors)
         checked = None if hint is None else self._checked(hint)
         with self._turn(), self._enough_memory():
             if pipeline.on_cuda:  # bytes go into the graph
-                frame = pipeline(ordered, self.preparation, self._channels, checked)
+                frame = pipeline(ordered, self.preparation, checked)
             else:  # what is made of them is at hand for the result
-                frame = pipeline(colors, self.preparation, "rgb", checked)
+                frame = pipeline(colors, self.preparation, checked)
         if frame.trust is not None and (trust := float(frame.trust.min())) < HARDLY:
             warnings.warn(
                 f"hint: it disagrees with what the images show, and counts with {trust:.2f} of its weight; is it of "
@@ -313,7 +299,7 @@ class Predictor:
         self, images: Mapping[str, Any]
     ) -> tuple[Float[Tensor, "*batch_and_size"], Bool[Tensor, " n *size"]]:
         """Return images as the network takes them, in [-1, 1], and what of them was seen; arguments as of a call."""
-        photographs = Colors(self._on_device(images), self._channels)
+        photographs = Colors(self._on_device(images))
         pipeline = self._pipeline_for(photographs)
         return pipeline.inputs(photographs, self.preparation)[0], pipeline.intake.seen
 

@@ -125,6 +125,7 @@ class DepthNetwork(RemembersArguments):
             rig's radius, as a network needs that was trained with rigs of one radius; ``"training"``, that of the
             training, if rigs of many radii were in it; ``"scene"``, a little nearer than the nearest surface, where
             nothing was trained.
+        trained_radius: metres; radius of the rigs of the training, by which ``"rig"`` scales.
         bounds: largest whole numbers of hyper-parameters in files of weights, by name; usual ones without.
         takes_hints: whether ``predict`` and ``training_loss`` take a ``DepthHint``; others refuse one.
 
@@ -160,6 +161,7 @@ class DepthNetwork(RemembersArguments):
     level: int
     image_channels: tuple[int, ...] = (3,)
     min_depth_follows: ClassVar[Literal["rig", "training", "scene"]] = "rig"
+    trained_radius: float = 0.2
     bounds: ClassVar[Mapping[str, int]] = {}
     takes_hints: ClassVar[bool] = False
 

@@ -173,16 +173,13 @@ def pixels_seen(rig: CameraRig) -> dict[str, Bool[Tensor, "_ _"]]:
     return seen
 
 
-def as_photographs(
-    images: Mapping[str, Any], rig: CameraRig, channels: str = "rgb"
-) -> dict[str, Float[Tensor, "*batch 3 _ _"]]:
+def as_photographs(images: Mapping[str, Any], rig: CameraRig) -> dict[str, Float[Tensor, "*batch 3 _ _"]]:
     """Return camera name -> float32 ``(*b, 3, h, w)`` in [0, 1], in the order of the rig's cameras.
 
     Args:
         images: by camera name, numpy arrays or tensors ``(h, w)``, ``(h, w, c)`` or ``(c, h, w)``, c = 1, 3 or 4,
             or batches of such; unsigned integers from 0 to the greatest of their type, or floats in [0, 1].
         rig: says the sizes ``(h, w)``.
-        channels: order of the channels of colour images, "rgb", or "bgr" as OpenCV has it.
 
     Raises:
         ArgumentError: images of other cameras than the rig's, or values out of range.
@@ -195,21 +192,20 @@ def as_photographs(
         >>> as_photographs(grey, rig)["cam1"].shape, as_photographs(grey, rig)["cam1"].max()
         (torch.Size([3, 8, 10]), tensor(1.))
     """
-    return {name: as_colors(image, channels) for name, image in ordered_images(images, rig).items()}
+    return {name: as_colors(image) for name, image in ordered_images(images, rig).items()}
 
 
-def as_colors(image: Shaped[Tensor, "*batch c h w"], channels: str = "rgb") -> Float[Tensor, "*batch 3 h w"]:
+def as_colors(image: Shaped[Tensor, "*batch c h w"]) -> Float[Tensor, "*batch 3 h w"]:
     """Return float32 in [0, 1] of three channels, of bytes or of such floats with 1, 3 or 4 channels.
 
     Examples:
-        >>> as_colors(torch.tensor([[[255]], [[0]], [[51]]], dtype=torch.uint8), "bgr").flatten()
-        tensor([0.2000, 0.0000, 1.0000])
+        >>> as_colors(torch.tensor([[[255]], [[0]], [[51]]], dtype=torch.uint8)).flatten()
+        tensor([1.0000, 0.0000, 0.2000])
     """
     values = image.float() / 255 if image.dtype == torch.uint8 else image
     if values.shape[-3] == 1:
         return values.expand(*values.shape[:-3], 3, *values.shape[-2:])
-    values = values[..., :3, :, :]
-    return values.flip(-3) if channels == "bgr" else values
+    return values[..., :3, :, :]
 
 
 def ordered_images(images: Mapping[str, Any], rig: CameraRig) -> dict[str, Shaped[Tensor, "*batch c _ _"]]:

@@ -29,7 +29,7 @@ def scattered(seed: int) -> CameraRig:
 
 def depth_of(rig: CameraRig, kind: str, min_depth: float, taken_with: CameraRig | None = None) -> Depth:
     images = render_rig(make_scene(kind, seed=3), rig if taken_with is None else taken_with)
-    return Predictor(rig, method="semi_global", level=5, num_hypotheses=16, min_depth=min_depth)(images)
+    return Predictor(rig, method="semi_global", level=5, min_depth=min_depth)(images)
 
 
 @pytest.mark.parametrize("kind", ["room", "hall"])

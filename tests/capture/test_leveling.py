@@ -58,7 +58,7 @@ def test_a_rendered_rig_that_leans_is_level_afterwards() -> None:
     scene = make_scene("room", seed=10_100_001)
     turn = leaning(20.0, 30.0)
     images = render_rig(scene, placed(RIG, turn))
-    predictor = Predictor(RIG, method="semi_global", level=6, num_hypotheses=32, min_depth=0.5)
+    predictor = Predictor(RIG, SemiGlobalSweep(6, 32, depth_coarsening=1), min_depth=0.5)
     level, sentence = leveling_turn([predictor(images)])
     world_from_level = turn[:3, :3] @ level[:3, :3].mT
     assert degrees(world_from_level @ UP, UP) < 3

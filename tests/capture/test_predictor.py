@@ -96,15 +96,10 @@ def test_all_forms_of_images_are_the_same_images(predictor: Predictor, images: I
     torch.testing.assert_close(found.index, expected.index, atol=1e-4, rtol=0)
 
 
-def test_grey_is_three_equal_channels_and_bgr_is_rgb_turned(rig: CameraRig, images: Images) -> None:
-    net = SemiGlobalSweep(3, 8)
-    rgb, bgr = (Predictor(rig, net, min_depth=0.5, channels=order) for order in ("rgb", "bgr"))  # type: ignore[arg-type]
+def test_grey_is_three_equal_channels(predictor: Predictor, images: Images) -> None:
     grey = {name: image[1] for name, image in images.items()}
     three = {name: image[1].expand(3, *SIZE) for name, image in images.items()}
-    assert torch.equal(rgb(grey).index, rgb(three).index)
-    turned = {name: image.flip(0) for name, image in images.items()}
-    for name, image in bgr(turned).images.items():
-        assert torch.equal(image, images[name])
+    assert torch.equal(predictor(grey).index, predictor(three).index)
 
 
 @pytest.mark.parametrize("grey", [False, True])
@@ -263,6 +258,8 @@ def test_the_nearest_depth_is_found_scaled_or_given(images: Images) -> None:
     assert 0.3 < depth.min_depth < truth.quantile(0.02)
     assert found.min_depth == depth.min_depth == found.network.min_depth
     assert Predictor(small, net, min_depth=None).min_depth == pytest.approx(0.6 * 0.05 / 0.2)
+    net.trained_radius = 0.1
+    assert Predictor(small, net, min_depth=None).min_depth == pytest.approx(0.6 * 0.05 / 0.1)
     assert Predictor(small, net, min_depth=2).min_depth == 2.0
 
 
@@ -429,12 +426,12 @@ def test_networks_on_panoramas_are_predictors_too(rig: CameraRig, images: Images
 def test_names_weights_and_methods(rig: CameraRig, images: Images, tmp_path: object) -> None:
     path = save_weights(IcoSweepNet(3, 4, feature_channels=2), f"{tmp_path}/weights.safetensors")
     assert Predictor(rig, path, min_depth=0.5)(images).index.shape == (42,)
-    small = Predictor(rig, "icosweepnet-small", level=3, num_hypotheses=6, min_depth=0.5)
+    small = Predictor(rig, "icosweepnet-small", level=3, min_depth=0.5)
     assert type(small.network).__name__ == "IcoSweepNet"
-    assert (small.network.level, small.network.num_hypotheses) == (3, 6)
-    swept = Predictor(rig, path, method="semi_global", num_hypotheses=12, min_depth=0.5)
+    assert (small.network.level, small.network.num_hypotheses) == (3, 16)
+    swept = Predictor(rig, path, method="semi_global", min_depth=0.5)
     assert isinstance(swept.network, SemiGlobalSweep)
-    assert (swept.network.level, swept.network.num_hypotheses) == (3, 12)
+    assert (swept.network.level, swept.network.num_hypotheses) == (3, 4)
     assert sphericalvision.Predictor is predictor_module.Predictor
 
 

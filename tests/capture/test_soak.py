@@ -20,6 +20,7 @@ from sphericalvision.capture import Predictor
 from sphericalvision.capture.outputs import Outputs
 from sphericalvision.capture.result_folder import Settings
 from sphericalvision.capture.sources.frames import Frame, Selection
+from sphericalvision.models import SemiGlobalSweep
 from sphericalvision.recipes.commands.predict import run
 from sphericalvision.scenes import make_scene, render_rig
 
@@ -61,7 +62,7 @@ def scenes(rig: CameraRig) -> list[Images]:
 
 
 def small_predictor(rig: CameraRig) -> Predictor:
-    return Predictor(rig, method="semi_global", level=3, num_hypotheses=4, min_depth=0.5)
+    return Predictor(rig, SemiGlobalSweep(3, 4, depth_coarsening=1), min_depth=0.5)
 
 
 @pytest.mark.slow

@@ -16,8 +16,8 @@ import torch
 import trimesh
 from omegaconf import OmegaConf
 
-import sphericalvision.capture.predictor
 import sphericalvision.io.images
+import sphericalvision.recipes.commands.predict
 from sphericalvision.cameras import ring_rig, save_rig
 from sphericalvision.cameras.robot_frame import OPTICAL_FROM_ROS, placed
 from sphericalvision.cameras.trajectory import upright_turn
@@ -207,7 +207,7 @@ def test_images_and_network_are_read_once(
 ) -> None:
     decoded: list[str] = []
     networks: list[object] = []
-    read, load = sphericalvision.io.images._decoded, sphericalvision.capture.predictor.read_network
+    read, load = sphericalvision.io.images._decoded, sphericalvision.recipes.commands.predict.read_network
 
     def read_pages(path: Path, *more: object) -> object:
         decoded.append(str(path))
@@ -218,7 +218,7 @@ def test_images_and_network_are_read_once(
         return load(weights)  # type: ignore[arg-type]
 
     monkeypatch.setattr(sphericalvision.io.images, "_decoded", read_pages)
-    monkeypatch.setattr(sphericalvision.capture.predictor, "read_network", read_network)
+    monkeypatch.setattr(sphericalvision.recipes.commands.predict, "read_network", read_network)
     run("predict", *words(capture, weights, "out"), "align=true", "min_depth=scene", "outputs=[npz]")
     assert sorted(decoded) == sorted(map(str, capture.glob("cam*/0*.png")))
     assert len(networks) == 1

@@ -65,7 +65,6 @@ def nearest_hypothesis(
     min_depth: float | Literal["auto", "scene"] | None,
     net: DepthNetwork,
     rig: CameraRig,
-    trained_radius: float = 0.2,
     trained: bool = True,
 ) -> NearestHypothesis:
     """Return where hypotheses begin.
@@ -77,7 +76,6 @@ def nearest_hypothesis(
             that a network for rigs of many radii was trained with.
         net: the network.
         rig: unbatched.
-        trained_radius: metres; radius of the rigs of the training.
         trained: whether the network, not a method without training in its place, is to estimate.
 
     Raises:
@@ -90,8 +88,8 @@ def nearest_hypothesis(
     if min_depth == "scene" or (min_depth == "auto" and follows == "scene"):
         return NearestHypothesis(None)
     if follows != "training":
-        return NearestHypothesis(scaled_min_depth(net, rig, trained_radius))
-    usual = max(net.min_depth, scaled_min_depth(net, rig, LARGEST * trained_radius))
+        return NearestHypothesis(scaled_min_depth(net, rig))
+    usual = max(net.min_depth, scaled_min_depth(net, rig) / LARGEST)
     return NearestHypothesis(usual) if min_depth is None else NearestHypothesis(None, usual)
 
 
@@ -113,7 +111,7 @@ def nearest_in_frames(frames: Iterable[Mapping[str, Float[Tensor, "3 _ _"]]], ri
     return nearest_depth(torch.stack([intake(frame) for frame in frames]), rig, intake.seen)
 
 
-def scaled_min_depth(net: DepthNetwork, rig: CameraRig, trained_radius: float = 0.2) -> float:
+def scaled_min_depth(net: DepthNetwork, rig: CameraRig) -> float:
     """Return the nearest hypothesis in metres that a network was trained with, scaled as the rig is.
 
     Scaling a rig and everything around it changes no image. A network that was trained with one ring of cameras serves
@@ -125,7 +123,7 @@ def scaled_min_depth(net: DepthNetwork, rig: CameraRig, trained_radius: float = 
     """
     radius = float(rig.radius)
     check_places(rig)
-    return net.min_depth * radius / float(trained_radius)
+    return net.min_depth * radius / net.trained_radius
 
 
 def check_places(rig: CameraRig) -> None:

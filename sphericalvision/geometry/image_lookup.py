@@ -14,6 +14,7 @@ and positions. Their tables move with ``.to`` and are not saved.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -62,7 +63,7 @@ def image_lookup(
     is_batch = pixels.ndim > 4
     if edges != "border" and not cubic and is_batch:
         grid = _grid(u + 1, v + 1, seen, (height + 2, width + 2))
-        return PaddedLookup(grid, seen, image_size, shares, poles=edges == "sphere")
+        return PaddedLookup(edges == "sphere", grid, seen, image_size, shares)
     grid = _grid(u, v, seen, image_size)
     if (cubic or edges != "border") and not pixels.is_meta:
         ids = _leaving(u, v, seen, image_size, cubic)
@@ -70,7 +71,7 @@ def image_lookup(
             leaving = from_components(*(position.flatten(-2)[..., ids] for position in (u, v)))
             taps, weights = taps_across_edges(leaving, image_size, edges, cubic)
             weights = weights * seen.flatten(-2)[..., ids].unsqueeze(-1)
-            return SeamLookup(grid, seen, image_size, shares, cubic, ids, taps, weights)
+            return SeamLookup(ids, taps, weights, grid, seen, image_size, shares, cubic)
     return ImageLookup(grid, seen, image_size, shares, cubic)
 
 
@@ -117,10 +118,8 @@ class ImageLookup(PlacesInSinglePrecision):
         """Return the values at all positions, (*b, C, P, m)."""
         size = images.shape[-3:]
         batch = broadcast_shapes(images.shape[:-3], self.grid.shape[:-3])
-        dtype = images.dtype
-        images = images.to(
-            torch.promote_types(dtype, torch.float32)
-        )  # in half precision positions would be off
+        # In half precision positions would be off.
+        dtype, images = images.dtype, images.to(torch.promote_types(images.dtype, torch.float32))
         grid = self.grid.to(images.dtype).expand(*batch, *self.grid.shape[-3:])
         grid = grid.reshape(math.prod(batch), *grid.shape[-3:])
         flat = images.expand(*batch, *size).reshape(math.prod(batch), *size)
@@ -152,14 +151,10 @@ class SeamLookup(ImageLookup):
     """``ImageLookup`` that reads the few positions whose kernel leaves the image entry by entry.
 
     Args:
-        grid: as of ``ImageLookup``, like the rest.
-        seen: so is this.
-        image_size: so is this.
-        shares: so is this.
-        cubic: so is this.
         ids: ``(k,)``, which of the P x m positions are replaced.
         taps: ``(*g, k, t)``, flat ids of the pixels that each is interpolated from.
         weights: ``(*g, k, t)``, zero where nothing is seen.
+        positions: arguments of ``ImageLookup``.
     """
 
     ids: Tensor
@@ -168,16 +163,12 @@ class SeamLookup(ImageLookup):
 
     def __init__(
         self,
-        grid: Float[Tensor, "*g P m 2"],
-        seen: Bool[Tensor, "*#g P m"],
-        image_size: tuple[int, int],
-        shares: Float[Tensor, "*#g P m"] | None,
-        cubic: bool,
         ids: Int[Tensor, " k"],
         taps: Int[Tensor, "*g k t"],
         weights: Float[Tensor, "*g k t"],
+        *positions: Any,
     ) -> None:
-        super().__init__(grid, seen, image_size, shares, cubic)
+        super().__init__(*positions)
         for name, table in {"ids": ids, "taps": taps, "weights": weights}.items():
             self.register_buffer(name, table, persistent=False)
 
@@ -194,22 +185,12 @@ class PaddedLookup(ImageLookup):
     """``ImageLookup`` of a panorama that gets one more pixel at each edge first.
 
     Args:
-        grid: as of ``ImageLookup``, in the padded panorama.
-        seen: as of ``ImageLookup``, like the next two.
-        image_size: without padding.
-        shares: as of ``ImageLookup``.
         poles: whether the panorama reaches up to the poles.
+        positions: arguments of ``ImageLookup``, the grid as in the padded panorama.
     """
 
-    def __init__(
-        self,
-        grid: Float[Tensor, "*g P m 2"],
-        seen: Bool[Tensor, "*#g P m"],
-        image_size: tuple[int, int],
-        shares: Float[Tensor, "*#g P m"] | None,
-        poles: bool,
-    ) -> None:
-        super().__init__(grid, seen, image_size, shares)
+    def __init__(self, poles: bool, *positions: Any) -> None:
+        super().__init__(*positions)
         self.poles = poles
 
     def interpolate(self, images: Float[Tensor, "*images C h w"]) -> Float[Tensor, "*batch C P m"]:

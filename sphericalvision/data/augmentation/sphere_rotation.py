@@ -18,6 +18,7 @@ from torch import Tensor
 from sphericalvision.core import ArgumentError, ShapeError, check_choice
 from sphericalvision.geometry import transform_from_quaternion
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere import Cubemap, Equirectangular, Healpix, SphereGrid
 
 __all__ = [
@@ -35,6 +36,7 @@ CONTENTS = ("image", "depth", "normals", "labels", "seen")
 SEEN_WEIGHT = 0.999
 
 
+@check_shapes
 def rotate_on_sphere(
     values: Shaped[Tensor, "*values"],
     grid: SphereGrid,
@@ -55,10 +57,6 @@ def rotate_on_sphere(
     Returns:
         As the values; differentiable in values and rotation for images and normals.
 
-    Raises:
-        ShapeError: if values, grid and rotation do not fit.
-        ArgumentError: if the kind is unknown.
-
     Examples:
         >>> grid = Equirectangular(8, 16)
         >>> height = -grid.directions[..., 1]
@@ -66,9 +64,7 @@ def rotate_on_sphere(
         >>> torch.allclose(rotate_on_sphere(height, grid, upside_down), -height, atol=1e-5)
         True
     """
-    if rotation.shape[-2:] != (3, 3):
-        raise ShapeError(f"rotation: expected shape (3, 3) or (B, 3, 3), got {tuple(rotation.shape)}")
-    flat = _flat(values, grid, rotation.shape, rotation.ndim - 2, kind)
+    flat = _flat(values, grid, rotation.shape[:-2], kind)
     sources = source_directions(grid, rotation)
     if kind in ("depth", "labels"):
         return _gather(flat, grid.nearest(sources)).view(values.shape)
@@ -115,16 +111,12 @@ def yaw_on_sphere(
         kind: ``"image"``, ``"depth"``, ``"normals"`` (which are turned, too), ``"labels"``, of any dtype, or
             ``"seen"``.
 
-    Raises:
-        ShapeError: if values, grid and steps do not fit.
-        ArgumentError: if the grid has no such steps or the kind is unknown.
-
     Examples:
         >>> yaw_on_sphere(torch.arange(8).view(1, 8), Equirectangular(1, 8), 3, "labels")
         tensor([[5, 6, 7, 0, 1, 2, 3, 4]])
     """
     steps = torch.as_tensor(steps, device=values.device)
-    flat = _flat(values, grid, steps.shape, steps.ndim, kind)
+    flat = _flat(values, grid, steps.shape, kind)
     moved = _gather(flat, _yaw_ids(grid, steps))
     if kind == "normals":
         moved = _rotate_vectors(moved, yaw_rotation(yaw_angle(steps, num_yaw_steps(grid))))
@@ -143,10 +135,8 @@ def num_yaw_steps(grid: SphereGrid) -> int:
     """
     if isinstance(grid, Equirectangular):
         return grid.width
-    if isinstance(grid, Icosphere):
-        return 5
-    if isinstance(grid, (Cubemap, Healpix)):
-        return 4
+    if isinstance(grid, (Icosphere, Cubemap, Healpix)):
+        return 5 if isinstance(grid, Icosphere) else 4
     raise ArgumentError(
         "grid: expected Equirectangular, Icosphere, Cubemap or Healpix, whose exact turns about the vertical are "
         f"known, got {type(grid).__name__}; turn it by any angle with rotate_on_sphere"
@@ -181,9 +171,6 @@ def random_rotations(
         max_angle: radians, above 0 to π; π draws from all of SO(3).
         generator: source of randomness; torch's global one when not given.
 
-    Raises:
-        ArgumentError: if the angle is out of range.
-
     References:
         Miles (1965), "On random rotations in R³": the density of the angle is proportional to 1 - cos.
 
@@ -210,22 +197,19 @@ def random_rotations(
     return rotations.to(torch.get_default_dtype())
 
 
-def _flat(values: Tensor, grid: SphereGrid, batch: torch.Size, batched: int, kind: str) -> Tensor:
+def _flat(values: Tensor, grid: SphereGrid, batch: torch.Size, kind: str) -> Tensor:
     """Return values as ``(c, n)``, or ``(B, c, n)`` for a batch of rotations, once everything fits together."""
     check_choice("kind", kind, CONTENTS)
-    shape = tuple(grid.shape)
-    leading = values.shape[: values.ndim - len(shape)]
-    size = ", ".join(map(str, shape))
-    if values.ndim < len(shape) or tuple(values.shape[values.ndim - len(shape) :]) != shape:
-        raise ShapeError(f"values: expected shape (*, {size}) for this grid, got {tuple(values.shape)}")
-    if batched > 1 or (batched == 1 and (not leading or leading[0] != batch[0])):
-        raise ShapeError(
-            f"values: expected shape ({batch[0]}, *, {size}) to go with {batch[0]} rotations, "
-            f"got {tuple(values.shape)}"
-        )
-    if kind == "normals" and (len(leading) <= batched or leading[-1] != 3):
-        raise ShapeError(f"values: expected normals (*, 3, {size}), got {tuple(values.shape)}")
-    return values.reshape(*leading[:batched], -1, math.prod(shape))
+    last = (*((3,) if kind == "normals" else ()), *grid.shape)
+    start = values.ndim - len(last)
+    if (
+        len(batch) > min(start, 1)
+        or values.shape[: len(batch)] != batch
+        or tuple(values.shape[start:]) != last
+    ):
+        expected = ", ".join(map(str, (*batch, "*", *last)))
+        raise ShapeError(f"values: expected {kind} of shape ({expected}), got {tuple(values.shape)}")
+    return values.reshape(*batch, -1, math.prod(grid.shape))
 
 
 def _gather(flat: Tensor, ids: Tensor) -> Tensor:

@@ -102,7 +102,7 @@ class _SphereAugmentation(nn.Module):
         if params is None:
             params = self.forward_parameters((self._batch_size(data[0]),))
         self._params = params
-        return self._all_applied(data, params, data_keys)
+        return self._applied(data, params, data_keys)
 
     def inverse(
         self, *data: Any, params: Parameters | None = None, data_keys: Sequence[str] | None = None
@@ -114,31 +114,28 @@ class _SphereAugmentation(nn.Module):
         inverse = {**params, "rotation": params["rotation"].mT}
         if "steps" in params:
             inverse["steps"] = -params["steps"]
-        return self._all_applied(data, inverse, data_keys)
+        return self._applied(data, inverse, data_keys)
 
     def extra_repr(self) -> str:
         return f"p={self.p}, same_on_batch={self.same_on_batch}"
 
-    def _all_applied(self, data: tuple[Any, ...], params: Parameters, data_keys: Sequence[str] | None) -> Any:
+    def _applied(self, data: tuple[Any, ...], params: Parameters, data_keys: Sequence[str] | None) -> Any:
         if data_keys is None and len(data) == 1:
-            return self._applied(data[0], params)
+            image = isinstance(data[0], Tensor)
+            return self._entry("input", data[0], "image", params) if image else self._sample(data[0], params)
         kinds = {"input": "image", **USUAL_KINDS, **self.kinds}
-        if len(data_keys or ()) != len(data) or not set(data_keys or ()) <= set(kinds):
+        keys = data_keys or ()
+        if len(keys) != len(data) or not set(keys) <= set(kinds):
             raise ArgumentError(
                 f"data_keys: expected one for each of {len(data)} entries, among {', '.join(kinds)}, got {data_keys}"
             )
-        turned = [
-            self._entry(key, value, kinds[key], params)
-            for key, value in zip(data_keys or (), data, strict=True)
-        ]
+        turned = [self._entry(key, value, kinds[key], params) for key, value in zip(keys, data, strict=True)]
         return turned if len(turned) > 1 else turned[0]
 
-    def _applied(self, data: Any, params: Parameters) -> Any:
-        if isinstance(data, Tensor):
-            return self._entry("input", data, "image", params)
-        if left := [key for key in data if key.startswith("panorama") and key not in self.kinds]:
+    def _sample(self, data: Mapping[str, Any], params: Parameters) -> dict[str, Any]:
+        if others := [key for key in data if key.startswith("panorama") and key not in self.kinds]:
             raise ArgumentError(
-                f"sample: {', '.join(left)} would stay as they are while the rig is turned; leave them out, or turn "
+                f"sample: {', '.join(others)} would stay as they are while the rig is turned; leave them out, or turn "
                 "the sample by RotateFivefold"
             )
         turned = {
@@ -146,9 +143,8 @@ class _SphereAugmentation(nn.Module):
             for key, value in data.items()
         }
         images, seen = turned.get("images"), turned.get("seen")
-        if isinstance(images, Tensor) and isinstance(
-            seen, Tensor
-        ):  # no mixture with what was not seen is shown
+        if isinstance(images, Tensor) and isinstance(seen, Tensor):
+            # What was not seen is not shown, mixed with what was.
             turned["images"] = torch.where(seen.unsqueeze(-len(self.grid.shape) - 1), images, 0.0)
         return turned
 

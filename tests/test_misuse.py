@@ -655,9 +655,9 @@ TangentImages(3, 10**6) -> base_level, size: Argument
 TangentImages(40, 8) -> level: Argument
 # pictures, crowns, captures
 depth_panorama(torch.ones(1, 4, 8), 0.5) -> depth: Shape
-rgb_panorama(rig(), {}, 16) -> images: Shape
+rgb_panorama(rig(), {}, 16) -> images: Argument
 rgb_panorama(rig(), pictures(torch.zeros(3, 24, 24)), 16, torch.ones(8, 16)) -> depth: Shape
-save_point_cloud('x.ply', torch.zeros(4, 3), torch.zeros(5, 3)) -> points, colors: Shape
+save_point_cloud('x.ply', torch.zeros(4, 3), torch.zeros(5, 3)) -> colors: Shape
 save_point_cloud('x.ply', torch.tensor([[NAN, 0.0, 0.0]]), torch.zeros(1, 3)) -> points: Argument
 from_crown(Crown(crown().row, crown().col)) -> crown: Shape
 from_crown(Crown(crown().col, crown().row.expand(2, -1, -1, -1, -1))) -> crown: Shape

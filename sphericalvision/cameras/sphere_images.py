@@ -19,7 +19,7 @@ from sphericalvision.cameras.rig import CameraRig, check_images_of
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.image_lookup import ImageLookup, image_lookup
 
-__all__ = ["SphereLookup", "sample_sphere", "sphere_lookups"]
+__all__ = ["SphereLookup", "images_in_order", "sample_sphere", "sphere_lookups"]
 
 
 class SphereLookup(NamedTuple):
@@ -100,12 +100,13 @@ def sample_sphere(
         (torch.Size([4, 3, 1]), [True, True, False, True])
     """
     values, lookups = [], sphere_lookups(rig, directions, antialias)
-    for image, lookup in zip(_in_order(rig, images), lookups, strict=True):
+    for image, lookup in zip(images_in_order(rig, images), lookups, strict=True):
         values.append(lookup(image, fill))
     return torch.stack(values, -3), torch.stack([lookup.seen for lookup in lookups], -2)
 
 
-def _in_order(rig: CameraRig, images: Mapping[str, Tensor] | Sequence[Tensor]) -> list[Tensor]:
+def images_in_order(rig: CameraRig, images: Mapping[str, Tensor] | Sequence[Tensor]) -> list[Tensor]:
+    """An image of each camera in the rig's order, given so or by name; raise as ``check_images_of`` does."""
     if not isinstance(images, Mapping):
         if len(images) != len(rig):
             raise ArgumentError(f"images: expected {len(rig)}, one for each camera, got {len(images)}")

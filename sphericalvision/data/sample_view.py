@@ -69,9 +69,6 @@ class ToView:
     Images are looked up as by ``ToSphere``. Depth at vertices is that of the nearest pixel of the panorama. Tables are
     kept while samples have the same rig object.
 
-    Raises:
-        ShapeError: images of several sizes, where the cameras' own are wanted.
-
     Examples:
         >>> import torch
         >>> from sphericalvision.cameras import ring_rig

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import torch
@@ -12,7 +13,8 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sphericalvision.cameras import Camera
-from sphericalvision.core import ArgumentError, ShapeError, check_floating
+from sphericalvision.core import ArgumentError
+from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere.grids.sphere_grid import SphereGrid
 
 if TYPE_CHECKING:
@@ -36,10 +38,11 @@ class PointTruth(NamedTuple):
     valid: Bool[Tensor, "*grid"]
 
 
+@check_shapes
 def truth_from_points(
     points: Float[Tensor, "P 3"],
     onto: SphereGrid | Camera,
-    center: Float[Tensor, " 3"] | None = None,
+    center: Float[Tensor, " 3"] | Sequence[float] | None = None,
     gap: float | None = None,
     tolerance: float = 0.017,
     noise: float = 0.0,
@@ -74,7 +77,6 @@ def truth_from_points(
         ``depth`` and ``valid`` in the shape of the grid, or ``(h, w)``.
 
     Raises:
-        ShapeError: points that are not ``(P, 3)``.
         ArgumentError: there is no point, or ``gap`` is not an angle.
 
     References:
@@ -113,11 +115,8 @@ def truth_from_points(
     return PointTruth(*truth)
 
 
-def _seen_from(points: Tensor, center: Tensor | None) -> tuple[Tensor, Tensor]:
+def _seen_from(points: Tensor, center: Tensor | Sequence[float] | None) -> tuple[Tensor, Tensor]:
     """Unit rays and distances of the points that there are, in float64 on the CPU, where the search tree is."""
-    if points.ndim != 2 or points.shape[-1] != 3:
-        raise ShapeError(f"points: expected (P, 3), got {tuple(points.shape)}")
-    check_floating("points", points)
     rays = points.detach().cpu().double()
     if center is not None:
         rays = rays - torch.as_tensor(center).detach().cpu().double()

@@ -11,12 +11,11 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.core import ShapeError, check_choice, check_floating, check_last_dim, check_tensor
-from sphericalvision.geometry.directions import broadcast_shapes
+from sphericalvision.core import ShapeError, check_choice
+from sphericalvision.geometry.directions import broadcast_shapes, in_single_precision
+from sphericalvision.shapes import check_shapes
 
-__all__ = ["HALF", "bilinear_sample", "wrap_panorama"]
-
-HALF = (torch.float16, torch.bfloat16)
+__all__ = ["bilinear_sample", "wrap_panorama"]
 
 
 def wrap_panorama(image: Float[Tensor, "*batch h w"], poles: bool = True) -> Float[Tensor, "*batch h+2 w+2"]:
@@ -40,6 +39,7 @@ def wrap_panorama(image: Float[Tensor, "*batch h w"], poles: bool = True) -> Flo
     return torch.cat((image[..., -1:], image, image[..., :1]), -1)
 
 
+@check_shapes
 def bilinear_sample(
     image: Float[Tensor, "*images c h w"],
     pixels: Float[Tensor, "*places n 2"],
@@ -55,10 +55,6 @@ def bilinear_sample(
             a pole the panorama continues on the opposite side.
         padding: beyond the outermost pixel centres ``"border"`` repeats them and ``"zeros"`` fades to zero.
 
-    Raises:
-        ArgumentError: the image is of an integer type, or ``padding`` is unknown.
-        ShapeError: the shapes are not as above.
-
     Examples:
         >>> image = torch.tensor([[[0.0, 10.0], [20.0, 30.0]]])
         >>> bilinear_sample(image, torch.tensor([[1.0, 0.0], [0.5, 0.5]])).tolist()
@@ -68,16 +64,7 @@ def bilinear_sample(
         [[5.0]]
     """
     check_choice("padding", padding, ("border", "zeros"))
-    check_tensor("image", image, "(*b, c, h, w)")
-    check_last_dim("pixels", pixels, 2)
-    if image.ndim < 3 or pixels.ndim < 2:
-        raise ShapeError(
-            "image and pixels: expected shapes (*b, c, h, w) and (*b, n, 2), "
-            f"got {tuple(image.shape)} and {tuple(pixels.shape)}"
-        )
-    check_floating("image", image)
-    check_floating("pixels", pixels)
-    pixels = pixels.to(torch.promote_types(pixels.dtype, torch.float32))
+    pixels = in_single_precision(pixels)
     height, width = image.shape[-2:]
     size = pixels.new_tensor([width, height])
     if wrap_longitude:
@@ -95,8 +82,7 @@ def bilinear_sample(
         none = image.flatten(-2)[..., :0].expand(*batch, -1, -1)
         return none.reshape(*batch, image.shape[-3], pixels.shape[-2])
     flat_image = image.expand(*batch, *image.shape[-3:]).reshape(-1, *image.shape[-3:])
-    if image.dtype in HALF:  # whose places would be half a pixel off
-        flat_image = flat_image.float()
+    flat_image = in_single_precision(flat_image)  # places would be half a pixel off
     # grid_sample(align_corners=False) puts the centre of pixel i at (2 i + 1) / size - 1.
     grid = ((2 * pixels + 1) / size - 1).to(flat_image.dtype).expand(*batch, *pixels.shape[-2:])
     grid = grid.reshape(-1, 1, *pixels.shape[-2:])

@@ -16,10 +16,12 @@ import torch
 from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, check_floating, check_last_dim, check_tensor
+from sphericalvision.core import ArgumentError
 from sphericalvision.kernels import prefer_fused
+from sphericalvision.shapes import check_shapes
 
 __all__ = [
+    "HALF",
     "angle_from_axis",
     "broadcast_shapes",
     "check_directions",
@@ -38,6 +40,9 @@ __all__ = [
     "safe_sqrt",
     "unit_directions",
 ]
+
+
+HALF = (torch.float16, torch.bfloat16)
 
 
 def components(vectors: Float[Tensor, "*batch n"]) -> tuple[Float[Tensor, "*batch"], ...]:
@@ -122,14 +127,13 @@ def holds(condition: Bool[Tensor, " ..."]) -> bool:
     return not has_numbers(condition) or bool(condition.all())
 
 
+@check_shapes
 def check_directions(directions: Float[Tensor, "*batch 3"]) -> None:
     """Raise unless ``directions`` are ``(*, 3)``, floating point and finite: all others lie in no cell of a grid.
 
     Examples:
         >>> check_directions(torch.eye(3))
     """
-    check_last_dim("directions", directions, 3)
-    check_floating("directions", directions)
     if not holds(directions.isfinite()):
         raise ArgumentError(
             "directions: expected numbers, got NaN or infinity; leave these out, no value is nearest to them"
@@ -143,7 +147,7 @@ def in_single_precision(numbers: Float[Tensor, " ..."]) -> Float[Tensor, " ..."]
         >>> in_single_precision(torch.zeros(2, dtype=torch.float16)).dtype
         torch.float32
     """
-    return numbers.float() if numbers.dtype in (torch.float16, torch.bfloat16) else numbers
+    return numbers.float() if numbers.dtype in HALF else numbers
 
 
 def safe_sqrt(x: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
@@ -220,15 +224,14 @@ def moderate_lengths(points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch
     return points * scale.unsqueeze(-1)
 
 
-def normalize(vectors: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch n"]:
+@check_shapes
+def normalize(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
     """Scale ``vectors`` (*, 3) to unit length, in float32 at least; a zero vector stays zero.
 
     Examples:
         >>> normalize(torch.tensor([0.0, 0.0, 2.0])).tolist()
         [0.0, 0.0, 1.0]
     """
-    check_last_dim("vectors", vectors, 3)
-    check_floating("vectors", vectors)
     vectors = in_single_precision(vectors)
     x, y, z = components(vectors)
     largest = torch.maximum(torch.maximum(x.detach().abs(), y.detach().abs()), z.detach().abs())
@@ -239,6 +242,7 @@ def normalize(vectors: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch n"]:
     return from_components(x * shrink, y * shrink, z * shrink)
 
 
+@check_shapes
 def angle_from_axis(points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch"]:
     """Angle in radians between ``points`` (*, 3) and the optical axis +z, in [0, π], shape (*).
 
@@ -248,8 +252,6 @@ def angle_from_axis(points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch"
         >>> angle_from_axis(torch.tensor([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])).tolist()
         [0.0, 1.5707963705062866]
     """
-    check_last_dim("points", points, 3)
-    check_floating("points", points)
     x, y, z = components(in_single_precision(points))
     return torch.atan2(safe_hypot(x, y), z)
 
@@ -269,6 +271,7 @@ def cosine_and_lifted_sinc(
     return torch.cos(angle), torch.sin(angle) / angle
 
 
+@check_shapes
 def directions_from_longitude_latitude(
     longitude: Float[Tensor, " ..."], latitude: Float[Tensor, " ..."]
 ) -> Float[Tensor, "*batch 3"]:
@@ -281,14 +284,12 @@ def directions_from_longitude_latitude(
         >>> directions_from_longitude_latitude(torch.tensor(0.0), quarter)[1].item()  # up is -y
         -1.0
     """
-    for name, angle in (("longitude", longitude), ("latitude", latitude)):
-        check_tensor(name, angle, "(*)")
-        check_floating(name, angle)
     longitude, latitude = in_single_precision(longitude), in_single_precision(latitude)
     flat = torch.cos(latitude)  # of as many as there are: a grid has one latitude a row
     return from_components(flat * torch.sin(longitude), -torch.sin(latitude), flat * torch.cos(longitude))
 
 
+@check_shapes
 def longitude_latitude_from_directions(
     directions: Float[Tensor, "*batch 3"],
 ) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
@@ -301,8 +302,6 @@ def longitude_latitude_from_directions(
         >>> longitude.item(), latitude.item() == 0
         (0.0, True)
     """
-    check_last_dim("directions", directions, 3)
-    check_floating("directions", directions)
     x, y, z = components(moderate_lengths(directions))
     tiny = torch.finfo(z.dtype).tiny ** 0.5
     squared = torch.addcmul(x * x, z, z)

@@ -18,8 +18,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor, nn
 
-from sphericalvision.geometry.bilinear import HALF
-from sphericalvision.geometry.directions import broadcast_shapes
+from sphericalvision.geometry.directions import HALF, broadcast_shapes
 from sphericalvision.kernels import uses_reference_kernels
 
 __all__ = ["Lookup", "PlacesInSinglePrecision", "weighted_rows", "weighted_sums"]

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.geometry.directions import in_single_precision
 from sphericalvision.geometry.lookup import Lookup, PlacesInSinglePrecision
 
 __all__ = ["LookupModule", "MaskedLookup"]
@@ -81,7 +82,7 @@ class MaskedLookup(PlacesInSinglePrecision):
                     valid.unsqueeze(-2), result, torch.full_like(result[..., :1, :1], self.fill)
                 )
             return result.unflatten(-1, self.target_shape)  # type: ignore[no-any-return]
-        result, valid = self.means(values.to(torch.promote_types(values.dtype, torch.float32)), mask)
+        result, valid = self.means(in_single_precision(values), mask)
         if valid is not None and self.fill != 0:
             # Zeros stand there: a sum is faster than a choice in all channels.
             filling = self._filling(valid) if mask is not None or self.filling is None else self.filling

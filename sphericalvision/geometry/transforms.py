@@ -7,9 +7,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_last_dim, check_tensor
+from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.directions import broadcast_shapes, holds
 from sphericalvision.kernels import full_precision
+from sphericalvision.shapes import check_shapes
 
 __all__ = [
     "axis_angle_from_transform",
@@ -20,15 +21,6 @@ __all__ = [
 ]
 
 
-def _check_transform(name: str, transform: Tensor) -> None:
-    check_tensor(name, transform, "(*, 4, 4)")
-    check_floating(name, transform)
-    if transform.shape[-2:] != (4, 4):
-        raise ShapeError(
-            f"{name}: expected rigid transforms of shape (*, 4, 4), got {tuple(transform.shape)}"
-        )
-
-
 def _assemble(rotation: Tensor, translation: Tensor) -> Tensor:
     batch = broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
     upper = torch.cat((rotation.expand(*batch, 3, 3), translation.expand(*batch, 3).unsqueeze(-1)), dim=-1)
@@ -36,6 +28,7 @@ def _assemble(rotation: Tensor, translation: Tensor) -> Tensor:
     return torch.cat((upper, last), dim=-2)
 
 
+@check_shapes
 @full_precision
 def invert_transform(a_from_b: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 4 4"]:
     """The rigid transform ``b_from_a`` (*, 4, 4); exact for rotations, no linear solve.
@@ -46,11 +39,11 @@ def invert_transform(a_from_b: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*b
         >>> invert_transform(shift)[0, 3].item()
         -2.0
     """
-    _check_transform("a_from_b", a_from_b)
     rotation = a_from_b[..., :3, :3].mT
     return _assemble(rotation, -(rotation @ a_from_b[..., :3, 3:]).squeeze(-1))
 
 
+@check_shapes
 @full_precision
 def transform_points(
     a_from_b: Float[Tensor, "*poses 4 4"], points: Float[Tensor, "*points 3"]
@@ -65,14 +58,12 @@ def transform_points(
         >>> transform_points(shift, torch.zeros(1, 3)).tolist()
         [[0.0, 0.0, 1.0]]
     """
-    _check_transform("a_from_b", a_from_b)
-    check_last_dim("points", points, 3)
-    check_floating("points", points)
     if points.ndim == 1:
         return transform_points(a_from_b, points[None]).squeeze(-2)
     return points @ a_from_b[..., :3, :3].mT + a_from_b[..., None, :3, 3]
 
 
+@check_shapes
 def transform_from_axis_angle(
     axis_angle: Float[Tensor, "*angles 3"], translation: Float[Tensor, "*translations 3"]
 ) -> Float[Tensor, "*batch 4 4"]:
@@ -84,15 +75,13 @@ def transform_from_axis_angle(
         >>> transform_points(turn_right, forward)[0, 0].item()  # forward becomes right, which is +x
         1.0
     """
-    check_last_dim("axis_angle", axis_angle, 3)
-    check_floating("axis_angle", axis_angle)
-    check_last_dim("translation", translation, 3)
     from kornia.geometry.conversions import axis_angle_to_rotation_matrix  # a second to import
 
     rotation = axis_angle_to_rotation_matrix(axis_angle.reshape(-1, 3))
     return _assemble(rotation.reshape(*axis_angle.shape[:-1], 3, 3), translation)
 
 
+@check_shapes
 def axis_angle_from_transform(
     a_from_b: Float[Tensor, "*batch 4 4"],
 ) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"]]:
@@ -102,13 +91,13 @@ def axis_angle_from_transform(
         >>> axis_angle_from_transform(torch.eye(4))[0].tolist()
         [0.0, 0.0, 0.0]
     """
-    _check_transform("a_from_b", a_from_b)
     from kornia.geometry.conversions import rotation_matrix_to_axis_angle
 
     axis_angle = rotation_matrix_to_axis_angle(a_from_b[..., :3, :3].reshape(-1, 3, 3))
     return axis_angle.reshape(*a_from_b.shape[:-2], 3), a_from_b[..., :3, 3]
 
 
+@check_shapes
 def transform_from_quaternion(
     quaternion: Float[Tensor, "*quaternions 4"], translation: Float[Tensor, "*translations 3"]
 ) -> Float[Tensor, "*batch 4 4"]:
@@ -118,11 +107,8 @@ def transform_from_quaternion(
         >>> transform_from_quaternion(torch.tensor([1.0, 0.0, 0.0, 0.0]), torch.ones(3))[0].tolist()
         [1.0, 0.0, 0.0, 1.0]
     """
-    check_last_dim("quaternion", quaternion, 4)
-    check_floating("quaternion", quaternion)
     if not holds((quaternion != 0).any(-1)):
         raise ArgumentError("quaternion: expected (w, x, y, z) of any length but zero, got zeros")
-    check_last_dim("translation", translation, 3)
     from kornia.geometry.conversions import quaternion_to_rotation_matrix
 
     return _assemble(quaternion_to_rotation_matrix(quaternion), translation)

@@ -101,9 +101,6 @@ def icosphere_normals(points: Float[Tensor, "*batch V 3"]) -> Float[Tensor, "*ba
         ``(*, V, 3)`` unit vectors, differentiable in the points. Triangles with a corner that is not finite are left
         out; where none is left the normal is zero.
 
-    Raises:
-        ShapeError: if no icosphere has V vertices, or points have no three coordinates.
-
     Examples:
         >>> from sphericalvision.icosphere import Icosphere
         >>> ico = Icosphere(2)

@@ -22,9 +22,6 @@ def icosphere_vertex_parents(level: int, device: torch.device | str | None = Non
     Vertices that the coarser level has too come from one vertex, which is given twice; their ids in this level are
     ``coarse_vertex_ids``.
 
-    Raises:
-        ArgumentError: at level 0, which has no coarser one.
-
     Examples:
         >>> icosphere_vertex_parents(1)[:3].tolist()  # the north pole, and two vertices beside it
         [[0, 0], [0, 1], [1, 3]]
@@ -44,9 +41,6 @@ def icosphere_vertex_parents(level: int, device: torch.device | str | None = Non
 
 def icosphere_face_parents(level: int, device: torch.device | str | None = None) -> Int[Tensor, " F"]:
     """Return the face of the next coarser level in which each face lies, ``(F,)``.
-
-    Raises:
-        ArgumentError: at level 0, which has no coarser one.
 
     Examples:
         >>> icosphere_face_parents(1)[:8].tolist()  # of the four cells in the first cell

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_last_dim, check_tensor
+from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry.directions import check_directions, in_single_precision, moderate_lengths
 from sphericalvision.geometry.lookup import weighted_sums
 from sphericalvision.icosphere.adjacency import icosphere_edges, icosphere_neighbors
@@ -16,6 +16,7 @@ from sphericalvision.icosphere.locator import locate
 from sphericalvision.icosphere.mesh import icosphere_vertices
 from sphericalvision.icosphere.subdivision import subdivision_order
 from sphericalvision.icosphere.topology import coarse_vertex_ids, icosphere_faces, num_icosphere_vertices
+from sphericalvision.shapes import check_shapes
 
 __all__ = ["Icosphere"]
 
@@ -96,11 +97,7 @@ class Icosphere(nn.Module):
         return coarse_vertex_ids(self.level, self.vertices.device)
 
     def coarser(self) -> Icosphere:
-        """Return the icosphere of one level less, of the same dtype and on the same device.
-
-        Raises:
-            ArgumentError: at level 0.
-        """
+        """Return the icosphere of one level less, of the same dtype and on the same device."""
         if self.level == 0:
             raise ArgumentError("Icosphere.coarser: level 0 is the icosahedron, there is no coarser level")
         return Icosphere(self.level - 1, self.vertices.dtype, self.vertices.device)
@@ -123,9 +120,6 @@ class Icosphere(nn.Module):
 
         All triangles are acute, so the nearest vertex is a corner of the containing triangle.
 
-        Raises:
-            ArgumentError: a direction is NaN.
-
         Examples:
             >>> Icosphere(2).nearest(torch.tensor([0.0, -1.0, 0.01]))
             tensor(0)
@@ -136,6 +130,7 @@ class Icosphere(nn.Module):
         distances = (self.vertices[ids] - unit[..., None, :]).square().sum(-1)
         return ids.gather(-1, distances.argmin(-1, keepdim=True)).squeeze(-1)
 
+    @check_shapes
     def sample(
         self, values: Float[Tensor, "*channels V"], directions: Float[Tensor, "*batch n 3"]
     ) -> Float[Tensor, "*result n"]:
@@ -147,20 +142,12 @@ class Icosphere(nn.Module):
 
         Returns:
             ``(*b, c, n)``, or ``(n,)`` for values ``(V,)``; differentiable in both arguments.
-
-        Raises:
-            ShapeError: if the values are not on this icosphere.
         """
-        check_last_dim("directions", directions, 3)
-        check_tensor("values", values, f"(*b, c, {self.num_vertices})")
-        check_floating("values", values)
-        if values.ndim == 0 or values.shape[-1] != self.num_vertices:
+        if values.shape[-1] != self.num_vertices:
             raise ShapeError(
                 f"values: expected shape (*b, c, {self.num_vertices}) for an icosphere of level "
                 f"{self.level}, got {tuple(values.shape)}"
             )
-        if directions.ndim < 2:
-            raise ShapeError(f"directions: expected shape (*b, n, 3), got {tuple(directions.shape)}")
         ids, weights = self.locate(in_single_precision(directions))
         if values.ndim == 1:
             return weighted_sums(values[None], ids, weights)[..., 0, :]

@@ -41,9 +41,6 @@ def icosphere_lines(level: int, device: torch.device | str | None = None) -> Ico
     Each vertex lies on three lines, and each of the twelve with five neighbours on five edges. Columns 0, n, 2n, 3n
     and 4n of a loop lie on edges of the icosahedron; a rotation of the icosahedron takes these columns to one another.
 
-    Raises:
-        ArgumentError: for a negative level.
-
     Examples:
         >>> lines = icosphere_lines(1)
         >>> lines.loops.shape, lines.edges.shape

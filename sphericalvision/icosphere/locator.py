@@ -147,10 +147,6 @@ def locate(
         Vertex ids ``(*, 3)``, counter-clockwise seen from outside, and weights ``(*, 3)``. A direction of
         zero length, or one that is not finite, has valid ids and NaN weights.
 
-    Raises:
-        ShapeError: if the last dimension is not 3.
-        ArgumentError: if the directions are not floating point numbers.
-
     References:
         Möller and Trumbore (1997), "Fast, minimum storage ray/triangle intersection", for the determinants.
 

@@ -32,10 +32,6 @@ def icosphere_within(
     Returns:
         ``(*, V)`` bool.
 
-    Raises:
-        ShapeError: if the last dimension is not 3.
-        ArgumentError: if the angle is negative or more than π.
-
     Examples:
         >>> up = torch.tensor([0.0, -1.0, 0.0])
         >>> icosphere_within(up, math.radians(70), level=0).nonzero().flatten()  # the pole and the ring around it

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Num
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_floating, check_tensor
+from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_floating
 from sphericalvision.icosphere.adjacency import icosphere_neighbors
 from sphericalvision.icosphere.areas import icosphere_solid_angles
 from sphericalvision.icosphere.hierarchy import icosphere_vertex_parents
@@ -17,6 +17,7 @@ from sphericalvision.icosphere.topology import (
     level_from_num_vertices,
     num_icosphere_vertices,
 )
+from sphericalvision.shapes import check_shapes
 from sphericalvision.tables import constant_table
 
 __all__ = ["IcospherePool", "IcosphereUpsample", "icosphere_pool", "icosphere_upsample"]
@@ -24,6 +25,7 @@ __all__ = ["IcospherePool", "IcosphereUpsample", "icosphere_pool", "icosphere_up
 POOL_MODES = ("mean", "max")
 
 
+@check_shapes
 def icosphere_pool(values: Num[Tensor, "*batch V"], mode: str = "mean") -> Num[Tensor, "*batch V_coarse"]:
     """Pool values on the vertices of the next coarser icosphere.
 
@@ -38,16 +40,11 @@ def icosphere_pool(values: Num[Tensor, "*batch V"], mode: str = "mean") -> Num[T
     Returns:
         ``(*, V_coarse)``.
 
-    Raises:
-        ShapeError: if no icosphere has V vertices.
-        ArgumentError: if the mode is unknown, at level 0, or for a mean of integers.
-
     Examples:
         >>> icosphere_pool(torch.ones(2, 162)).shape
         torch.Size([2, 42])
     """
     check_choice("mode", mode, POOL_MODES)
-    check_tensor("values", values, "(*, V)")
     level = level_from_num_vertices(values.shape[-1])
     if mode == "max":
         return _max(values, _pooled_ids(level, values.device))
@@ -78,6 +75,7 @@ class IcospherePool(nn.Module):
         self.register_buffer("ids", ids, persistent=False)
         self.register_buffer("weights", weights, persistent=False)
 
+    @check_shapes
     def forward(self, values: Num[Tensor, "*batch V"]) -> Num[Tensor, "*batch V_coarse"]:
         _check_level_of(values, self.level)
         if self.mode == "max":
@@ -88,6 +86,7 @@ class IcospherePool(nn.Module):
         return f"level={self.level}, mode={self.mode!r}"
 
 
+@check_shapes
 def icosphere_upsample(values: Float[Tensor, "*batch V"]) -> Float[Tensor, "*batch V_fine"]:
     """Interpolate values on the next finer icosphere: new vertices get the mean of the edge that they halve.
 
@@ -99,15 +98,10 @@ def icosphere_upsample(values: Float[Tensor, "*batch V"]) -> Float[Tensor, "*bat
     Returns:
         ``(*, V_fine)``.
 
-    Raises:
-        ShapeError: if no icosphere has V vertices.
-        ArgumentError: if the values are integers.
-
     Examples:
         >>> icosphere_upsample(torch.ones(2, 42)).shape
         torch.Size([2, 162])
     """
-    check_tensor("values", values, "(*, V)")
     level = level_from_num_vertices(values.shape[-1])
     return _mean_of_parents(values, _parents(level, values.device))
 
@@ -135,6 +129,7 @@ class IcosphereUpsample(nn.Module):
         self.level = check_level(level)
         self.register_buffer("parents", icosphere_vertex_parents(level + 1), persistent=False)
 
+    @check_shapes
     def forward(self, values: Float[Tensor, "*batch V"]) -> Float[Tensor, "*batch V_fine"]:
         _check_level_of(values, self.level)
         return _mean_of_parents(values, self.parents)
@@ -144,8 +139,7 @@ class IcosphereUpsample(nn.Module):
 
 
 def _check_level_of(values: Tensor, level: int) -> None:
-    check_tensor("values", values, f"(*, {num_icosphere_vertices(level)})")
-    if values.ndim == 0 or values.shape[-1] != num_icosphere_vertices(level):
+    if values.shape[-1] != num_icosphere_vertices(level):
         raise ShapeError(
             f"values: expected shape (*, {num_icosphere_vertices(level)}) for an icosphere of level {level}, "
             f"got {tuple(values.shape)}"
@@ -184,5 +178,4 @@ def _max(values: Tensor, ids: Tensor) -> Tensor:
 
 
 def _mean_of_parents(values: Tensor, parents: Tensor) -> Tensor:
-    check_floating("values", values)
     return (values[..., parents[:, 0]] + values[..., parents[:, 1]]) / 2

@@ -62,9 +62,6 @@ def subdivision_order(level: int, device: torch.device | str | None = None) -> I
 def to_subdivision_order(values: Shaped[Tensor, "*batch V"]) -> Shaped[Tensor, "*batch V"]:
     """Return values on an icosphere ``(*, V)`` in the order of plain midpoint subdivision.
 
-    Raises:
-        ShapeError: if no icosphere has V vertices.
-
     Examples:
         >>> to_subdivision_order(torch.arange(12))
         tensor([ 0,  1,  3,  5,  7,  9,  2,  4,  6,  8, 10, 11])
@@ -75,9 +72,6 @@ def to_subdivision_order(values: Shaped[Tensor, "*batch V"]) -> Shaped[Tensor, "
 
 def from_subdivision_order(values: Shaped[Tensor, "*batch V"]) -> Shaped[Tensor, "*batch V"]:
     """Return values ``(*, V)`` that stand in the order of plain midpoint subdivision in the order of ``Icosphere``.
-
-    Raises:
-        ShapeError: if no icosphere has V vertices.
 
     Examples:
         >>> from_subdivision_order(to_subdivision_order(torch.arange(42))).equal(torch.arange(42))

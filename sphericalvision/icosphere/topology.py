@@ -148,9 +148,6 @@ def icosphere_faces(level: int, device: torch.device | str | None = None) -> Int
 def coarse_vertex_ids(level: int, device: torch.device | str | None = None) -> Int[Tensor, " V"]:
     """Return, for each vertex of the next coarser icosphere, its id in the icosphere of this level.
 
-    Raises:
-        ArgumentError: at level 0, which has no coarser one.
-
     Examples:
         >>> coarse_vertex_ids(1)
         tensor([ 0,  3,  7, 11, 15, 19, 23, 27, 31, 35, 39, 41])

@@ -44,9 +44,6 @@ def with_carrier(scene: Scene, kind: str, rig: CameraRig, seed: int = 0) -> Carr
         rig: unbatched; its size is that of the body.
         seed: of materials and sizes.
 
-    Raises:
-        ArgumentError: an unknown kind.
-
     Examples:
         >>> from sphericalvision.cameras import ring_rig
         >>> from sphericalvision.scenes import make_scene, ray_depth

@@ -109,9 +109,6 @@ def kind_of(kind: str | Sequence[str], seed: int) -> str:
         kind: of ``scene_kinds``, or several.
         seed: of the scene.
 
-    Raises:
-        ArgumentError: an unknown kind.
-
     Examples:
         >>> kind_of("room", 5), kind_of(("room", "floating"), 4), kind_of(("room", "floating"), 5)
         ('room', 'room', 'floating')

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras.rig import check_images_of
 from sphericalvision.cameras.sphere_images import SphereLookup, sphere_lookups
 from sphericalvision.core import ArgumentError, ShapeError, check_floating
 from sphericalvision.icosphere import Icosphere
@@ -89,8 +90,8 @@ class Intake:
             images: camera name -> ``(*b, 3, h, w)`` in [0, 1], or bytes.
 
         Raises:
-            ShapeError: other cameras than the rig's, or another image size than the calibration's.
-            ArgumentError: images of other integers.
+            ShapeError: another image size than the calibration's.
+            ArgumentError: other cameras than the rig's, or images of other integers.
         """
         images = {
             name: image.float() / 255 if image.dtype == torch.uint8 else image
@@ -104,24 +105,11 @@ class Intake:
         self, images: Mapping[str, Shaped[Tensor, "*batch c _ _"]]
     ) -> Shaped[Tensor, "*batch_and_size"]:
         """Return the values as they are, without a change of range: a tensor of their own. Arguments as of a call."""
-        self.check(images)
+        check_images_of(self.rig, images)
         ordered = [images[name] for name in self.rig.names]
         if not self.lookups:
             return torch.stack(ordered, -4)
         return torch.stack([look(image, 0) for look, image in zip(self.lookups, ordered, strict=True)], -3)
-
-    def check(self, images: Mapping[str, Shaped[Tensor, "*batch c _ _"]]) -> None:
-        """Raise ``ShapeError`` unless there is an image of each camera, in the size of its calibration."""
-        if set(images) != set(self.rig.names):
-            raise ShapeError(
-                f"images: expected those of the cameras {list(self.rig.names)}, got {list(images)}"
-            )
-        for name, camera in self.rig.cameras.items():
-            if tuple(images[name].shape[-2:]) != tuple(camera.image_size):
-                raise ShapeError(
-                    f"images[{name!r}]: expected (h, w) = {tuple(camera.image_size)} from the calibration, got "
-                    f"{tuple(images[name].shape[-2:])}"
-                )
 
     def __repr__(self) -> str:
         return f"Intake({self.rig}, onto {tuple(self.seen.shape[1:])})"

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras import Camera, field_of_view
-from sphericalvision.core import ShapeError
+from sphericalvision.cameras.checks import check_image
 from sphericalvision.geometry import angle_from_axis
 from sphericalvision.viz.figure import figure_pixels
 
@@ -43,19 +43,15 @@ def angle_map(
     Returns:
         uint8 ``(h, w, 3)``, RGB.
 
-    Raises:
-        ShapeError: image or mask are not of the camera's size.
-        ArgumentError: the camera is a batch.
-
     Examples:
         >>> from sphericalvision.cameras import FisheyeCamera
         >>> angle_map(FisheyeCamera.from_field_of_view((300, 400), math.radians(190))).shape[-1]
         3
     """
     height, width = camera.image_size
-    for name, value in (("image", image), ("mask", mask)):
-        if value is not None and tuple(value.shape[-2:]) != camera.image_size:
-            raise ShapeError(f"{name}: expected {height} x {width}, got shape {tuple(value.shape)}")
+    for name, value, shape in (("image", image, "(c, h, w)"), ("mask", mask, "(h, w)")):
+        if value is not None:
+            check_image(name, value, camera.image_size, shape)
     horizontal, vertical, widest = (math.degrees(angle) for angle in field_of_view(camera))
     step = max(max(height, width) / _SAMPLES, 1.0)
     u = torch.linspace(0, width - 1, round(width / step), dtype=torch.float64)

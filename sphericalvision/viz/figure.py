@@ -40,9 +40,6 @@ def add_scale_bar(
         ticks: position in [0, 1] along the colour map, and text.
         label: quantity and unit.
         faded: whether the colours of the bar fade to grey downwards, as those of ``fade`` do.
-
-    Raises:
-        ShapeError: the picture is not uint8 ``(h, w, 3)``.
     """
     picture = _enlarge(picture)
     return np.concatenate((picture, _bar(picture.shape[1], color_map, tuple(ticks), label, faded)))
@@ -84,10 +81,6 @@ def sheet(pictures: Mapping[str, Picture] | Sequence[Picture], columns: int = 1,
         columns: pictures side by side.
         gap: pixels between them.
 
-    Raises:
-        ArgumentError: no pictures or no columns.
-        ShapeError: a picture is not uint8 ``(h, w, 3)``.
-
     Examples:
         >>> black, white = np.zeros((20, 300, 3), np.uint8), np.full((30, 400, 3), 255, np.uint8)
         >>> sheet({"left": black, "right": white}, columns=2).shape
@@ -127,9 +120,6 @@ def strip(pictures: Sequence[Picture], width: int, gap: int = 12, most: int = 6)
         width: of the strip in pixels.
         gap: pixels between them.
         most: pictures in a row.
-
-    Raises:
-        ArgumentError: no pictures.
 
     Examples:
         >>> strip([np.zeros((30, 40, 3), np.uint8)] * 5, width=648).shape

@@ -9,8 +9,9 @@ import torch
 from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError, check_tensor
+from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
+from sphericalvision.shapes import check_shapes
 from sphericalvision.viz.color import colorize
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["icosphere_mesh", "sphere_mesh", "surface_mesh"]
 
 
+@check_shapes
 def icosphere_mesh(
     depth: Float[Tensor, " V"], colors: Float[Tensor, "3 V"] | None = None, max_jump: float = 1.2
 ) -> trimesh.Trimesh:
@@ -33,7 +35,7 @@ def icosphere_mesh(
         A mesh in the rig's frame, facing the rig's centre; ``.export("room.ply")`` writes it.
 
     Raises:
-        ShapeError: no icosphere has V vertices, or the colours do not fit.
+        ShapeError: no icosphere has V vertices.
         ArgumentError: ``max_jump`` is not above 1.
 
     Examples:
@@ -43,14 +45,9 @@ def icosphere_mesh(
     """
     if max_jump <= 1:
         raise ArgumentError(f"max_jump: expected a ratio above 1, got {max_jump!r}")
-    check_tensor("depth", depth, "(V,)")
-    if depth.ndim != 1:
-        raise ShapeError(f"depth: expected (V,), got {tuple(depth.shape)}")
     grid = Icosphere(level_from_num_vertices(len(depth)), device=depth.device)
     if colors is None:
         colors = depth.new_full((3, len(depth)), 0.7)
-    if tuple(colors.shape) != (3, len(depth)):
-        raise ShapeError(f"colors: expected {(3, len(depth))} to go with depth, got {tuple(colors.shape)}")
     return surface_mesh(grid.vertices, grid.faces, depth, colors, max_jump)
 
 
@@ -85,6 +82,7 @@ def surface_mesh(
     return mesh
 
 
+@check_shapes
 def sphere_mesh(
     values: Shaped[Tensor, " V"] | Float[Tensor, "3 V"], radius: float = 1.0, color_map: str = "viridis"
 ) -> trimesh.Trimesh:
@@ -100,16 +98,13 @@ def sphere_mesh(
         A mesh whose vertices are in the order of the icosphere; ``.export("sphere.ply")`` writes it.
 
     Raises:
-        ShapeError: no icosphere has V vertices, or the values have another shape.
+        ShapeError: no icosphere has V vertices.
 
     Examples:
         >>> mesh = sphere_mesh(torch.arange(162.0))
         >>> len(mesh.faces), mesh.is_watertight
         (320, True)
     """
-    check_tensor("values", values, "(V,) or (3, V)")
-    if values.ndim not in (1, 2) or (values.ndim == 2 and len(values) != 3):
-        raise ShapeError(f"values: expected (V,), or colours (3, V), got {tuple(values.shape)}")
     grid = Icosphere(level_from_num_vertices(values.shape[-1]))
     values = values.detach().cpu().double()
     if values.ndim == 2:

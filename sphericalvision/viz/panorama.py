@@ -16,6 +16,7 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ShapeError
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
+from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.viz.color import DEPTH_MAP, ERROR_MAP, depth_ticks, depth_to_color, error_to_color, fade
 from sphericalvision.viz.figure import add_scale_bar, sheet
@@ -35,6 +36,7 @@ __all__ = [
 Picture = npt.NDArray[Any]
 
 
+@check_shapes
 def depth_panorama(
     depth: Float[Tensor, "H W"],
     min_depth: float,
@@ -58,7 +60,6 @@ def depth_panorama(
         >>> depth_panorama(torch.full((32, 64), 2.0), min_depth=0.5).shape[1:]
         (640, 3)
     """
-    _check_panorama("depth", depth)
     ticks = depth_ticks(min_depth, max_depth)
     colors = depth_to_color(depth, min_depth, max_depth)
     if strength is None:
@@ -87,6 +88,7 @@ _UNSURE, _SURE = 0.4, 0.9
 """Confidence at which it keeps the least, and all: nearly everything that networks see well has more than 0.9."""
 
 
+@check_shapes
 def error_panorama(error: Float[Tensor, "H W"], max_error: float, label: str = "error (% of N)") -> Picture:
     """Colour a panorama of errors and put a scale below it.
 
@@ -103,7 +105,6 @@ def error_panorama(error: Float[Tensor, "H W"], max_error: float, label: str = "
         >>> error_panorama(torch.rand(32, 64), max_error=1.0).shape[1:]
         (640, 3)
     """
-    _check_panorama("error", error)
     ticks = [(k / 5, f"{max_error * k / 5:.3g}") for k in range(5)] + [(1.0, f"≥ {max_error:.3g}")]
     return add_scale_bar(error_to_color(error, max_error), ERROR_MAP, ticks, label)
 
@@ -155,7 +156,8 @@ def rgb_panorama(
         ``(height, 2 * height)``.
 
     Raises:
-        ShapeError: depth of another shape, or the images' names are not the cameras'.
+        ShapeError: depth of another shape.
+        ArgumentError: the images' names are not the cameras'.
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
@@ -184,8 +186,3 @@ def _rays(height: int, dtype: torch.dtype, device: torch.device) -> Tensor:
 
 
 _FAR = 1e4  # metres; no rig is so large that its cameras would see a difference beyond
-
-
-def _check_panorama(name: str, values: Tensor) -> None:
-    if values.ndim != 2:
-        raise ShapeError(f"{name}: expected a panorama (H, W), got {tuple(values.shape)}")

@@ -14,9 +14,11 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_tensor
+from sphericalvision.cameras.rig import check_images_of
+from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.io.files import atomic_write, write_bytes
 from sphericalvision.kernels import full_precision
+from sphericalvision.shapes import check_shapes
 
 __all__ = ["PointCloud", "point_colors", "save_point_cloud"]
 
@@ -33,6 +35,7 @@ SUFFIXES = (".ply", ".glb", ".obj", ".stl", ".xyz")
 """Files of points that can be written."""
 
 
+@check_shapes
 def save_point_cloud(
     path: str | Path,
     points: Float[Tensor, "n 3"],
@@ -48,7 +51,6 @@ def save_point_cloud(
         normals: ``(n, 3)`` unit vectors, which .ply files hold; other formats go without.
 
     Raises:
-        ShapeError: not ``(n, 3)`` all.
         ArgumentError: no points, or some are not finite; viewers refuse such files.
 
     Examples:
@@ -56,15 +58,7 @@ def save_point_cloud(
         'points.ply'
     """
     path = Path(path)
-    check_tensor("points", points, "(n, 3)")
-    check_tensor("colors", colors, "(n, 3)")
     check_choice("path", path.suffix, SUFFIXES)
-    if points.ndim != 2 or points.shape[-1] != 3 or points.shape != colors.shape:
-        raise ShapeError(
-            f"points, colors: expected (n, 3) both, got {tuple(points.shape)} and {tuple(colors.shape)}"
-        )
-    if normals is not None and normals.shape != points.shape:
-        raise ShapeError(f"normals: expected {tuple(points.shape)} as the points, got {tuple(normals.shape)}")
     if not len(points) or not points.isfinite().all():
         raise ArgumentError(
             f"points: expected finite points to write {path.name}, got {len(points)} points, "
@@ -110,7 +104,7 @@ def point_colors(
     Cameras that see a point nearer to their axis count more. What stands in the way is not known.
 
     Raises:
-        ShapeError: the images' names are not the cameras'.
+        ArgumentError: the images' names are not the cameras'.
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
@@ -119,8 +113,7 @@ def point_colors(
         >>> colors.shape, seen.tolist()
         (torch.Size([3, 3]), [True, True, True])
     """
-    if set(images) != set(rig.names):
-        raise ShapeError(f"images: expected those of the cameras {list(rig.names)}, got {list(images)}")
+    check_images_of(rig, images)
     if not len(points):
         return points.new_zeros(next(iter(images.values())).shape[0], 0), torch.zeros(0, dtype=torch.bool)
     projection = rig.project(points)

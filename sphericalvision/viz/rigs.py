@@ -47,9 +47,6 @@ def rig_picture(rig: CameraRig) -> Picture:
     Returns:
         uint8 ``(h, w, 3)``, RGB.
 
-    Raises:
-        ArgumentError: the rig is a batch.
-
     Examples:
         >>> from sphericalvision.cameras import ring_rig
         >>> rig_picture(ring_rig(4)).shape[-1]
@@ -106,9 +103,6 @@ def coverage_panorama(
 
     Returns:
         uint8 ``(h, w, 3)``, RGB.
-
-    Raises:
-        ArgumentError: the rig is a batch.
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig

@@ -50,19 +50,6 @@ def test_a_panorama_of_odd_proportions_is_refused_with_the_file_named(tmp_path: 
         read_ground_truth(tmp_path / "1.png", 0.55)
 
 
-@pytest.mark.parametrize("height", [8, 4])
-@pytest.mark.parametrize("suffix", [".png", ".tiff"])
-def test_what_is_written_is_read(tmp_path: Path, suffix: str, height: int) -> None:
-    truth = torch.rand(height, 16, generator=torch.Generator().manual_seed(0)) / 0.55
-    truth[0, 0] = 0.0
-    write_ground_truth(tmp_path / f"1{suffix}", truth, min_depth=0.55)
-    inverse_depth, valid = read_ground_truth(tmp_path / f"1{suffix}", min_depth=0.55)
-    half_a_step = 0.5 / (65500 * 0.55) if suffix == ".png" else 0.0
-    torch.testing.assert_close(inverse_depth, truth, rtol=0, atol=half_a_step + 2e-7 * bool(half_a_step))
-    assert inverse_depth[0, 0] == 0
-    assert valid.all()
-
-
 def test_unknown_depth_fits_in_tiff_only(tmp_path: Path) -> None:
     truth, valid = torch.full((2, 4), 0.5), torch.ones(2, 4, dtype=torch.bool)
     valid[1, 2] = False
@@ -84,5 +71,5 @@ def test_points_too_near_for_png_are_clipped_with_a_warning(tmp_path: Path) -> N
 def test_other_suffixes_and_shapes_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ArgumentError, match=r"suffix \.png or \.tiff, got '1\.exr'"):
         write_ground_truth(tmp_path / "1.exr", torch.zeros(2, 4), 0.55)
-    with pytest.raises(ShapeError, match=r"\(H, W\)"):
+    with pytest.raises(ShapeError, match="inverse_depth"):
         write_ground_truth(tmp_path / "1.png", torch.zeros(1, 2, 4), 0.55)

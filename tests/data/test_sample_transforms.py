@@ -172,10 +172,10 @@ def test_wrong_order_and_wrong_images_are_refused(rig: CameraRig, with_truth: Ma
     with pytest.raises(ArgumentError, match="belongs before ToSphere"):
         Compose(ToSphere(3), RandomShift())(sample)
     sample["images"]["cam2"] = torch.zeros(3, 10, 10)
-    with pytest.raises(ShapeError, match=r"images\['cam2'\]: expected \(h, w\) = \(50, 48\)"):
+    with pytest.raises(ShapeError, match=r"images\['cam2'\]: .* 50 x 48"):
         ToSphere(3)(sample)
     del sample["images"]["cam2"]
-    with pytest.raises(ShapeError, match="expected those of the cameras"):
+    with pytest.raises(ArgumentError, match="cam2"):
         ToSphere(3)(sample)
 
 

@@ -307,7 +307,7 @@ def test_gradients_reach_values_and_rotation(generator: torch.Generator) -> None
 
 def test_bad_arguments_are_named() -> None:
     grid = Icosphere(1)
-    with pytest.raises(ShapeError, match="expected normals"):
+    with pytest.raises(ShapeError, match="values"):
         rotate_on_sphere(torch.rand(2, 42), grid, torch.eye(3), "normals")
     with pytest.raises(ShapeError, match="rotation"):
         rotate_on_sphere(torch.rand(2, 42), grid, torch.eye(4))

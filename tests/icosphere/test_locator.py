@@ -12,15 +12,6 @@ from sphericalvision.icosphere.fast.triangle_table import triangle_table
 from sphericalvision.kernels import kernels, reference_kernels
 
 
-def on_edges_and_corners(level: int, dtype: torch.dtype) -> Tensor:
-    """Vertices, and middles of edges and faces of this icosphere and of the icosahedron."""
-    directions = []
-    for ico in (Icosphere(level, dtype), Icosphere(0, dtype)):
-        corners = ico.vertices[ico.faces]
-        directions += [ico.vertices, corners[:, :2].mean(1), corners.mean(1)]
-    return torch.cat(directions)
-
-
 def located(directions: Tensor, level: int) -> tuple[Tensor, Tensor]:
     """Ids and weights ``(m, 3)`` by the tables, however few the directions are."""
     locator = TriangleLocator(level, directions.dtype)
@@ -41,22 +32,6 @@ def test_the_same_triangles_and_weights(level: int, dtype: torch.dtype, generato
     assert (~same).double().mean() <= (0 if dtype == torch.float64 else 100 * eps)
     torch.testing.assert_close(weights[same], expected[same], rtol=0, atol=8 * eps)
     assert weights.min() > -16 * eps
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@pytest.mark.parametrize("level", [0, 1, 3, 5])
-def test_edges_and_corners(level: int, dtype: torch.dtype) -> None:
-    """One of the triangles that share them: the weights rebuild the direction."""
-    ico = Icosphere(level, dtype)
-    directions = on_edges_and_corners(level, dtype)
-    ids, weights = located(directions, level)
-    faces = {tuple(sorted(face)) for face in ico.faces.tolist()}
-    assert all(tuple(sorted(triple)) in faces for triple in ids.tolist())
-    eps = torch.finfo(dtype).eps
-    assert weights.min() > -16 * 2**level * eps
-    rebuilt = torch.nn.functional.normalize((ico.vertices[ids] * weights[..., None]).sum(1), dim=-1)
-    unit = torch.nn.functional.normalize(directions, dim=-1)
-    torch.testing.assert_close(rebuilt, unit, rtol=0, atol=8 * eps)
 
 
 @pytest.mark.parametrize("level", [0, 3])

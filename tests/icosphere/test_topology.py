@@ -93,7 +93,7 @@ def test_neighbors(level: int) -> None:
     for face in faces:
         for vertex in face:
             expected[vertex] |= set(face) - {vertex}
-    assert [set(row) - {-1} for row in neighbors.tolist()] == expected
+    assert [set(row) - {-1} for row in neighbors.tolist()] == expected  # so that they are each other's
     assert (neighbors == -1).sum() == 12
     assert (neighbors[:, :5] >= 0).all()
     # Counter-clockwise from outside: consecutive neighbours turn positively about the vertex.
@@ -153,10 +153,6 @@ def test_solid_angles_integrate_smooth_functions() -> None:
 def test_number_of_vertices_must_be_of_an_icosphere(count: int) -> None:
     with pytest.raises(ShapeError, match=f"got {count}"):
         level_from_num_vertices(count)
-
-
-def test_the_icosahedron_has_no_coarser_level() -> None:
-    assert Icosphere(2).coarser().level == 1
 
 
 def test_tables_are_not_saved_and_follow_the_dtype() -> None:

@@ -84,13 +84,6 @@ def test_walks_end_in_the_same_triangle_wherever_they_begin(
     torch.testing.assert_close(shares, coefficients(rays, triangles, table))
 
 
-def test_numbers_of_triangles_are_those_of_the_faces() -> None:
-    """Every face is where its own middle is."""
-    ico = Icosphere(3, torch.float64)
-    middles = F.normalize(ico.vertices[ico.faces].mean(1), dim=-1)
-    assert torch.equal(descend(middles, 3).numbers(3), torch.arange(len(ico.faces)))
-
-
 @pytest.mark.parametrize("resolution", [1, 2, 7, 64])
 def test_cells_cover_the_sphere_once(resolution: int, generator: torch.Generator) -> None:
     numbers = torch.arange(2 * resolution**2, dtype=torch.int32)

@@ -69,9 +69,9 @@ def test_signed_has_an_inverse(generator: torch.Generator) -> None:
 def test_other_cameras_and_sizes_are_refused() -> None:
     intake = Intake(RIG, None)
     images = {name: torch.ones(3, 32, 32) for name in RIG.names}
-    with pytest.raises(ShapeError, match="cam3"):
+    with pytest.raises(ArgumentError, match="cam3"):
         intake({name: images[name] for name in ("cam1", "cam2")})
-    with pytest.raises(ShapeError, match=r"cam2.*calibration"):
+    with pytest.raises(ShapeError, match="cam2"):
         intake(images | {"cam2": torch.ones(3, 32, 16)})
     with pytest.raises(ShapeError, match="one size"):
         Intake(RIG.resized({"cam1": (16, 16)}), None)

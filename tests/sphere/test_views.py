@@ -161,7 +161,7 @@ def test_photographs_of_a_rig_merge_into_the_panorama_that_they_show() -> None:
     assert repr(Views(images, rig).target) == repr(cut.target)
     alone = views(images["front"], fisheye, "cube", image_size=(20, 20))
     assert set(alone.rig.masks) == {"cam2", "cam3", "cam4", "cam5", "cam6"}  # all but the view ahead
-    with pytest.raises(ArgumentError, match="images: expected one for each camera"):
+    with pytest.raises(ArgumentError, match="images"):
         Views(list(images.values())[:2], rig)
 
 

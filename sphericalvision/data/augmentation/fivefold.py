@@ -28,9 +28,6 @@ def rotate_fivefold(values: Shaped[Tensor, "*values V"], steps: int) -> Shaped[T
 
     Charts follow each other in memory, so they move as wholes; the poles stay.
 
-    Raises:
-        ShapeError: the last dimension is not the vertex count of any level.
-
     Examples:
         >>> rotate_fivefold(torch.arange(12), 1)
         tensor([ 0,  9, 10,  1,  2,  3,  4,  5,  6,  7,  8, 11])

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
-from sphericalvision.core import ShapeError
+from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere.intake import signed, unsigned
 
 __all__ = ["PhotometricAugmentation"]
@@ -65,14 +65,9 @@ class PhotometricAugmentation(nn.Module):
         self.color = ColorJiggle(brightness, contrast, same_on_batch=not per_camera)
         self.noise = RandomGaussianNoise(mean=0.0, std=noise, p=0.5)
 
+    @check_shapes
     def apply_to(self, images: Float[Tensor, "n 3 h w"], seed: int) -> Float[Tensor, "n 3 h w"]:
-        """Augment images ``(n, 3, h, w)`` in [0, 1]; the same seed does the same again.
-
-        Raises:
-            ShapeError: images of another shape.
-        """
-        if images.ndim != 4 or images.shape[1] != 3:
-            raise ShapeError(f"images: expected (n, 3, h, w), got {tuple(images.shape)}")
+        """Augment images ``(n, 3, h, w)`` in [0, 1]; the same seed does the same again."""
         devices = [images.device] if images.device.type == "cuda" else []
         with torch.random.fork_rng(devices):  # kornia draws from the global generator only
             torch.manual_seed(seed)

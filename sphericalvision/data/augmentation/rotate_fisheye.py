@@ -10,7 +10,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, Remap
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.cameras.rig import check_images_of
+from sphericalvision.core import ArgumentError, ShapeError, check_choice
 from sphericalvision.sphere.intake import pixels_seen
 
 __all__ = ["RotateFisheye"]
@@ -36,8 +37,8 @@ class RotateFisheye:
         mode: of ``remap``: "area", or "bilinear", which is faster and may alias.
 
     Raises:
-        ArgumentError: an unknown mode, or, when called, images that are not by camera name.
-        ShapeError: a rotation of another shape; when called, images of other cameras.
+        ArgumentError: an unknown mode, or, when called, images that are not by the names of the rig's cameras.
+        ShapeError: a rotation of another shape; when called, images of another size than their cameras'.
 
     References:
         Komatsu et al. (2020), section IV-C: rigs whose cameras look down by up to 45°.
@@ -62,8 +63,7 @@ class RotateFisheye:
         image_size: Sequence[int] | None = None,
         mode: str = "area",
     ) -> None:
-        if mode not in ("area", "bilinear"):
-            raise ArgumentError(f"mode: expected 'area' or 'bilinear', got {mode!r}")
+        check_choice("mode", mode, ("area", "bilinear"))
         if rotation is not None and tuple(rotation.shape[-2:]) != (3, 3):
             raise ShapeError(f"rotation: expected shape (3, 3) or (n, 3, 3), got {tuple(rotation.shape)}")
         self.tilt, self.rotation, self.image_size, self.mode = tilt, rotation, image_size, mode
@@ -76,8 +76,7 @@ class RotateFisheye:
         images, rig = sample["images"], sample["rig"]
         if isinstance(images, Tensor):
             raise ArgumentError("RotateFisheye: expected images by camera name; it belongs before ToSphere")
-        if set(images) != set(rig.names):
-            raise ShapeError(f"images: expected those of the cameras {list(rig.names)}, got {list(images)}")
+        check_images_of(rig, images)
         if self._before is not rig:
             self._before, self._remaps = rig, self._make_remaps(rig)
             self._after = self._masked(self.turned(rig))

@@ -11,10 +11,11 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.core import ArgumentError, ArgumentTypeError, ShapeError
+from sphericalvision.core import ArgumentError, ArgumentTypeError
 from sphericalvision.data.omnistereo.ground_truth import check_panorama_size
 from sphericalvision.geometry.directions import holds
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sphere.intake import Intake
 
@@ -113,8 +114,8 @@ class ToSphere:
             rig: unbatched.
 
         Raises:
-            ShapeError: other cameras than the rig's, or another image size than the calibration's.
-            ArgumentError: values far beyond [0, 1], such as floats up to 255.
+            ShapeError: another image size than the calibration's.
+            ArgumentError: other cameras than the rig's, or values far beyond [0, 1], such as floats up to 255.
         """
         values = self._intake_of(rig)(images)
         far = values.abs().mean()  # single pixels, such as those of a mask, may hold anything
@@ -148,19 +149,15 @@ class ToSphere:
             self._intake = Intake(rig, self._grid, self.antialias)
         return self._intake
 
+    @check_shapes
     def ground_truth(
         self, inverse_depth: Float[Tensor, "H W"], valid: Bool[Tensor, "H W"]
     ) -> tuple[Float[Tensor, " V_depth"], Bool[Tensor, " V_depth"]]:
         """Inverse depth and validity ``(V_depth,)`` at the vertices, of those of a panorama ``(H, W)``.
 
         Raises:
-            ShapeError: no panorama (W = 2H or 4H), or validity of another shape.
+            ShapeError: no panorama (W = 2H or 4H).
         """
-        if inverse_depth.ndim != 2 or valid.shape != inverse_depth.shape:
-            raise ShapeError(
-                f"inverse_depth, valid: expected (H, W) both, got {tuple(inverse_depth.shape)} and "
-                f"{tuple(valid.shape)}"
-            )
         if self._panorama is None or self._panorama.shape != inverse_depth.shape:
             check_panorama_size(*inverse_depth.shape)
             self._panorama = Equirectangular.with_square_pixels(*inverse_depth.shape)

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError, FileFormatError, ShapeError
 from sphericalvision.io.images import read_pages, write_pages
+from sphericalvision.shapes import check_shapes
 
 __all__ = [
     "PNG_SCALE",
@@ -115,6 +116,7 @@ def read_ground_truth(path: str | Path, min_depth: float) -> GroundTruth:
     return GroundTruth(torch.where(valid, values, 0.0), valid)
 
 
+@check_shapes
 def write_ground_truth(
     path: str | Path,
     inverse_depth: Float[Tensor, "H W"],
@@ -131,8 +133,6 @@ def write_ground_truth(
         ArgumentError: another suffix, or unknown depth somewhere while the encoding is PNG.
     """
     path = Path(path)
-    if inverse_depth.ndim != 2:
-        raise ShapeError(f"inverse_depth: expected (H, W), got {tuple(inverse_depth.shape)}")
     check_panorama_size(*inverse_depth.shape)
     values = inverse_depth.detach().to("cpu", torch.float32)
     mask = values.isfinite() & (values >= 0)

@@ -23,6 +23,7 @@ from sphericalvision.cameras import (
 )
 from sphericalvision.cameras.calibration.poses import axis_angle_from_rotation
 from sphericalvision.cameras.field_of_view import visible_angle
+from sphericalvision.cameras.rig import check_images_of
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data.omnistereo.ground_truth import write_ground_truth
 from sphericalvision.data.omnistereo.releases import (
@@ -74,6 +75,7 @@ def write_omnistereo(
     Raises:
         ArgumentError: ``root`` holds the other release or frames of another rig, a frame has other cameras than the
             rig, or a rig of other poses, or is no number, or the release cannot hold the cameras or the rig's centre.
+        ShapeError: an image of another size than its camera's.
         FileFormatError: ``min_depth`` and the rig are a mixture of the published scales, which no reader
             may accept.
 
@@ -127,18 +129,11 @@ def _write_frame(
     except ValueError:
         raise ArgumentError(f"frame: expected a number or its digits, got {sample['frame']!r}") from None
     images, own = sample["images"], sample.get("rig", rig)
-    if set(images) != set(rig.names):
-        raise ArgumentError(f"frame {frame}: expected images of {list(rig.names)}, got {list(images)}")
+    check_images_of(rig, images, f"frame {frame}: images")
     poses = own.world_from_camera.to(rig.world_from_camera)
     if own.names != rig.names or not torch.allclose(poses, rig.world_from_camera, atol=1e-4):
         raise ArgumentError(f"frame {frame}: its rig has other cameras or poses than the one given")
     for number, name in enumerate(rig.names, start=1):
-        size = tuple(images[name].shape[-2:])
-        if size != tuple(rig.cameras[name].image_size):
-            raise ArgumentError(
-                f"frame {frame}: image of {name}: expected (h, w) = {tuple(rig.cameras[name].image_size)}, "
-                f"got {size}"
-            )
         write_image(root / f"cam{number}" / f"{frame:05d}.png", images[name])
     truth = root / layout.ground_truth_folder / f"{frame:05d}{layout.suffix}"
     write_ground_truth(truth, sample["inverse_depth"], min_depth, sample.get("valid"))

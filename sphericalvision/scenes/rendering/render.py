@@ -146,9 +146,6 @@ def render_camera(
     Returns:
         ``(3, h, w)`` in [0, 1]; 0 where the camera sees nothing.
 
-    Raises:
-        ArgumentError: ``samples_per_pixel`` below 1.
-
     Examples:
         >>> from sphericalvision.cameras import FisheyeCamera
         >>> from sphericalvision.scenes import make_scene

@@ -233,9 +233,6 @@ def pattern(name: str, generator: torch.Generator, size: int = SIZE) -> Tensor:
     Examples:
         >>> pattern("checks", torch.Generator().manual_seed(0), size=32).shape
         torch.Size([3, 32, 32])
-
-    Raises:
-        ArgumentError: the name is not in `ALL_PATTERNS`.
     """
     check_choice("name", name, tuple(ALL_PATTERNS))
     image = ALL_PATTERNS[name](Canvas.blank(size, generator))

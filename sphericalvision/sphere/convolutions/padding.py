@@ -7,12 +7,14 @@ import torch
 from jaxtyping import Shaped
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError, check_tensor
+from sphericalvision.core import ArgumentError
+from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere.grids.cube_padding import Padding, cube_pad, four_sides
 
 __all__ = ["CubePad2d", "EquirectangularPad2d", "cube_pad", "equirectangular_pad"]
 
 
+@check_shapes
 def equirectangular_pad(
     images: Shaped[Tensor, "*batch H W"], padding: Padding
 ) -> Shaped[Tensor, "*batch H_out W_out"]:
@@ -29,7 +31,6 @@ def equirectangular_pad(
         ``(*, top + H + bottom, left + W + right)``.
 
     Raises:
-        ShapeError: if the images have no two dimensions.
         ArgumentError: if a padding is negative, or larger than the images.
 
     Examples:
@@ -39,9 +40,6 @@ def equirectangular_pad(
                 [2., 3., 4., 1., 2., 3.]])
     """
     left, right, top, bottom = four_sides(padding)
-    check_tensor("images", images, "(*, H, W)")
-    if images.ndim < 2:
-        raise ShapeError(f"images: expected shape (*, H, W), got {tuple(images.shape)}")
     height, width = images.shape[-2:]
     if max(left, right) > width or max(top, bottom) > height:
         raise ArgumentError(

@@ -41,10 +41,6 @@ def sphere_conv2d(
     Returns:
         ``(B, out, ceil(H / stride), ceil(W / stride))``.
 
-    Raises:
-        ShapeError: if images and weight do not fit.
-        ArgumentError: as by ``sphere_taps``.
-
     References:
         Coors, Condurache and Geiger (2018), "SphereNet".
 
@@ -100,9 +96,6 @@ class SphereConv2d(nn.Conv2d):
         dilation: steps of taps, in pixels at the equator.
         groups: of channels that are convolved apart.
         bias: whether to add a learned bias.
-
-    Raises:
-        ArgumentError: if the kernel's size is even.
 
     Examples:
         >>> layer = SphereConv2d(3, 8)

@@ -10,6 +10,7 @@ from jaxtyping import Shaped
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError, check_choice
+from sphericalvision.shapes import check_shapes
 
 __all__ = ["CUBE_FACES", "CUBE_LAYOUTS", "cube_from_layout", "cube_to_layout", "world_from_cube_face"]
 
@@ -44,6 +45,7 @@ def world_from_cube_face(
     return axes.transpose(1, 2)
 
 
+@check_shapes
 def cube_to_layout(
     values: Shaped[Tensor, "*batch 6 s s"], layout: str = "dice", fill: float = 0.0
 ) -> (
@@ -60,10 +62,6 @@ def cube_to_layout(
             ``"dict"`` (by name) of faces ``(*, s, s)``.
         fill: what stands in the empty places of the dice.
 
-    Raises:
-        ShapeError: if the values are no cube map.
-        ArgumentError: if the layout is unknown.
-
     Examples:
         >>> cube_to_layout(torch.arange(6).view(6, 1, 1), "dice", fill=-1)
         tensor([[-1,  4, -1, -1],
@@ -73,8 +71,6 @@ def cube_to_layout(
         ['front', 'right', 'back', 'left', 'up', 'down']
     """
     check_choice("layout", layout, CUBE_LAYOUTS)
-    if values.ndim < 3 or values.shape[-3] != 6 or values.shape[-1] != values.shape[-2]:
-        raise ShapeError(f"values: expected a cube map (*, 6, s, s), got {tuple(values.shape)}")
     faces = list(values.unbind(-3))
     if layout == "list":
         return faces
@@ -97,10 +93,6 @@ def cube_from_layout(
     layout: str = "dice",
 ) -> Shaped[Tensor, "*batch_out 6 s s"]:
     """Return the cube map ``(*, 6, s, s)`` that ``cube_to_layout`` arranged.
-
-    Raises:
-        ShapeError: if the picture's size is not that of the layout.
-        ArgumentError: if the layout is unknown, or faces are missing.
 
     Examples:
         >>> cube = torch.rand(3, 6, 4, 4)

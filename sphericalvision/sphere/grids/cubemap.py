@@ -121,9 +121,6 @@ class Cubemap(GridModule):
     def nearest(self, directions: Float[Tensor, "*batch 3"]) -> Int[Tensor, "*batch"]:
         """Return the index ``(*)`` of the pixel that contains each direction ``(*, 3)``.
 
-        Raises:
-            ArgumentError: a direction is NaN.
-
         Examples:
             >>> Cubemap(1).nearest(torch.tensor([[0.0, 0.0, 1.0], [0.0, 1.0, 0.1]])).tolist()
             [0, 5]

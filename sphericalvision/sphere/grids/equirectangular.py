@@ -205,9 +205,6 @@ class Equirectangular(GridModule):
 
         A direction midway between two columns or rows, as whole meridians of an icosphere are, goes to the even one.
 
-        Raises:
-            ArgumentError: a direction is NaN.
-
         Examples:
             >>> Equirectangular(3, 5).nearest(torch.tensor([0.0, 0.0, 1.0]))
             tensor(7)

@@ -107,9 +107,6 @@ class Healpix(GridModule):
     def nearest(self, directions: Float[Tensor, "*batch 3"]) -> Int[Tensor, "*batch"]:
         """Return the number ``(*)`` of the pixel that contains each direction ``(*, 3)``.
 
-        Raises:
-            ArgumentError: a direction is NaN.
-
         Examples:
             >>> Healpix(1).nearest(torch.tensor([0.0, 0.0, 1.0])).item()
             4
@@ -150,9 +147,6 @@ class Healpix(GridModule):
                 ``healpy.get_interp_weights``. Close to the poles that takes values on the chord between two pixels
                 for values on the circle, an error of first order. ``"chords"`` is linear between the points of both
                 chords at the direction's longitude, and of second order everywhere; ``resample`` uses it.
-
-        Raises:
-            ArgumentError: if the interpolation is unknown.
 
         Examples:
             >>> ids, weights = Healpix(1).locate(torch.tensor([0.0, -1.0, 0.0]))  # straight up

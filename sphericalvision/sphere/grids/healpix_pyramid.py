@@ -32,10 +32,6 @@ def healpix_pool(
     Returns:
         ``(*, 3 * nside**2)``.
 
-    Raises:
-        ShapeError: if there is no such nside.
-        ArgumentError: if the mode is unknown, or nside is 1 or no power of two.
-
     Examples:
         >>> healpix_pool(torch.arange(48.0), nested=True)[:3].tolist()
         [1.5, 5.5, 9.5]
@@ -66,10 +62,6 @@ def healpix_upsample(
 
     Returns:
         ``(*, 48 * nside**2)``.
-
-    Raises:
-        ShapeError: if there is no such nside.
-        ArgumentError: if nside is no power of two.
 
     Examples:
         >>> healpix_upsample(torch.arange(12), nested=True)[:6].tolist()

@@ -115,10 +115,6 @@ class GridModule(nn.Module):
 
         Returns:
             ``(*b, c, n)``, differentiable in both arguments; NaN where a direction is.
-
-        Raises:
-            ShapeError: if the values are not on this grid.
-            ArgumentError: if they are integers.
         """
         check_values(values, self.shape)
         check_floating("values", values)

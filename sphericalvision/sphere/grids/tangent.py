@@ -148,11 +148,7 @@ class TangentImages(GridModule):
         return patch, plane / self.pixel_size + (self.size - 1) / 2
 
     def nearest(self, directions: Float[Tensor, "*batch 3"]) -> Int[Tensor, "*batch"]:
-        """Return the index ``(*)`` of the pixel, in the patch of the containing face, that each direction falls on.
-
-        Raises:
-            ArgumentError: a direction is NaN.
-        """
+        """Return the index ``(*)`` of the pixel, in the patch of the containing face, that each direction falls on."""
         check_directions(directions)
         patch, pixels = self.face_coordinates(directions)
         column, row = (pixels + 0.5).floor().long().clamp(0, self.size - 1).unbind(-1)

@@ -78,10 +78,6 @@ def resample_mask(
     """Return where ``resample`` finds values, bool ``(*b, *target_shape)``: all but what a camera cannot see, and what
     depends on masked values alone.
 
-    Raises:
-        ShapeError: see ``resample``.
-        ArgumentError: see ``resample``.
-
     Examples:
         >>> from sphericalvision.icosphere import Icosphere
         >>> from sphericalvision.sphere import Equirectangular
@@ -147,10 +143,6 @@ class Resample(LookupModule):
         Args:
             values: on the source.
             mask: ``(*b, *source_shape)``, which of these values may be used; with a mask of the module, those in both.
-
-        Raises:
-            ShapeError: if values or mask do not lie on the source.
-            ArgumentError: if integers are to be interpolated.
         """
         check_values(values, self.tables.source_shape)
         result: Tensor = self.tables(values, mask)

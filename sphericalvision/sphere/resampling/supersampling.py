@@ -32,11 +32,7 @@ class CellSamples(NamedTuple):
 
 
 def grid_shape(grid: SphereGrid | Camera, name: str) -> tuple[int, ...]:
-    """Shape of values on a grid or of a camera's image.
-
-    Raises:
-        ArgumentError: if it is neither, or a batch of cameras.
-    """
+    """Shape of values on a grid or of a camera's image."""
     if isinstance(grid, Camera):
         if grid.batch_shape:
             raise ArgumentError(
@@ -69,9 +65,6 @@ def cell_samples(
         dtype: of the answer.
         device: of the answer.
         cells: flat indices of the cells; all if not given.
-
-    Raises:
-        ArgumentError: if more than one sample is asked of a grid that has no ``cell_samples``.
     """
     sides = (samples, samples) if isinstance(samples, int) else samples
     if isinstance(grid, Camera):

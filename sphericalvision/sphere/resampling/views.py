@@ -13,10 +13,11 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras import Camera, CameraRig, EquirectangularCamera, PinholeCamera, depth_from_z
-from sphericalvision.cameras.checks import check_image
+from sphericalvision.cameras.base import check_single
 from sphericalvision.cameras.remapping.lookup import pixels_a_radian
 from sphericalvision.cameras.remapping.pinhole_views import checked_angles, rotation_from_yaw_pitch_roll
 from sphericalvision.cameras.remapping.rectify import RectifiedPair
+from sphericalvision.cameras.sphere_images import images_in_order
 from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_tensor
 from sphericalvision.geometry.directions import holds
 from sphericalvision.sphere.grids.cube_layouts import world_from_cube_face
@@ -70,15 +71,8 @@ class Views:
         rig: CameraRig,
         target: SphereGrid | Camera | None = None,
     ) -> None:
-        named = images if isinstance(images, Mapping) else dict(zip(rig.names, images, strict=False))
-        if len(images) != len(rig) or set(named) != set(rig.names) or rig.batch_shape:
-            raise ArgumentError(
-                f"images: expected one for each camera of a single rig, {', '.join(rig.names)}, got {len(images)} for "
-                f"{', '.join(map(str, named))}"
-            )
-        for name, camera in rig.cameras.items():
-            check_image(f"images[{name!r}]", named[name], camera.image_size)
-        self.images = [named[name] for name in rig.names]
+        check_single(rig)
+        self.images = images_in_order(rig, images)
         self.rig = rig
         self._target = target
 
@@ -96,10 +90,6 @@ class Views:
             pairs: of one rig.
             disparities: ``(*b, h, w)`` of each pair's left image, in pixels; what is below 0 or NaN is unknown.
             target: of ``merge`` if it is told none.
-
-        Raises:
-            ArgumentError: the numbers of pairs and disparities differ.
-            ShapeError: a disparity is not of its pair's size.
 
         Examples:
             >>> from sphericalvision.cameras import rectified_pairs, ring_rig
@@ -139,9 +129,6 @@ class Views:
         Args:
             function: of images ``(n, c, h, w)`` to ``(n, c', h', w')`` or ``(n, h', w')``, such as a network.
             batch: most images at once; all of one size if not given.
-
-        Raises:
-            ShapeError: the function returns something else.
         """
         results: list[Tensor] = []
         for _, alike in itertools.groupby(self.images, lambda image: image.shape):

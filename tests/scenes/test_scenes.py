@@ -153,21 +153,6 @@ def test_autocast_around_it_changes_no_picture(make_rig: Callable[..., CameraRig
         torch.testing.assert_close(inside, alone, rtol=0, atol=0)
 
 
-def test_more_samples_approach_the_mean_over_a_pixel() -> None:
-    """Anti-aliasing: a finer picture, averaged over 8 x 8 pixels, is the reference."""
-    scene = make_scene("floating", 4)
-    scene = replace(scene, exposure=0.2 * scene.exposure)  # so that nothing is clipped before the mean
-    reference = linear(render_camera(scene, EquirectangularCamera((256, 512)), torch.eye(4)))
-    reference = torch.nn.functional.avg_pool2d(reference, 8)
-    errors = []
-    for samples in (1, 4, 16):
-        picture = render_camera(
-            scene, EquirectangularCamera((32, 64)), torch.eye(4), samples_per_pixel=samples
-        )
-        errors.append((linear(picture) - reference).square().mean().sqrt().item())
-    assert errors[0] > 1.3 * errors[1] > 1.3 * errors[2]
-
-
 def test_lambert_and_distance_law() -> None:
     """Light from a lamp straight above is color / (reach² + d²); at an angle, times the cosine."""
     height, reach, power = 2.0, 0.5, 3.0
@@ -242,15 +227,6 @@ def test_objects_float_in_all_directions() -> None:
     torch.testing.assert_close(axes.square().mean(0), torch.full((3,), 1 / 3), rtol=0, atol=0.08)
 
 
-@pytest.mark.parametrize("name", ALL_PATTERNS)
-def test_patterns_vary_within_the_unit_interval(name: str, generator: torch.Generator) -> None:
-    image = pattern(name, generator, size=64)
-    assert image.shape == (3, 64, 64)
-    assert image.min() >= 0
-    assert image.max() <= 1
-    assert image.std() > 0.03
-
-
 PATTERN_OF_A_SEED = {
     "noise": (0.4516, 0.0221, 0.0396),
     "checks": (0.5024, 0.1060, 0.1053),
@@ -272,6 +248,8 @@ PATTERN_OF_A_SEED = {
 @pytest.mark.parametrize("name", ALL_PATTERNS)
 def test_patterns_stay_what_scenes_of_before_were_painted_with(name: str) -> None:
     image = pattern(name, torch.Generator().manual_seed(1), size=64)
+    assert image.shape == (3, 64, 64)
+    assert 0 <= image.min() <= image.max() <= 1
     steps = (image.diff(dim=axis).abs().mean().item() for axis in (1, 2))
     assert (image.mean().item(), *steps) == pytest.approx(PATTERN_OF_A_SEED[name], abs=2e-4)
 
@@ -289,8 +267,6 @@ def test_texture_lookup_at_texel_centres_and_over_everything(generator: torch.Ge
     uv = (torch.stack([column, row], -1) + 0.5) / bank.size
     fine = bank.sample(number, uv, torch.zeros(100))
     torch.testing.assert_close(fine, image[:, row, column].T, rtol=0, atol=0.005)
-    mirrored = bank.sample(number, -uv, torch.zeros(100))
-    torch.testing.assert_close(mirrored, fine)
     coarse = bank.sample(number, uv, torch.full((100,), 5.0))
     torch.testing.assert_close(coarse, image.mean((1, 2)).expand(100, 3), rtol=0, atol=0.005)
 

@@ -73,8 +73,8 @@ def barycentric_weights(
     return convex(volumes, -1)
 
 
-def convex(shares: Float[Tensor, " ..."], dim: int) -> Float[Tensor, " ..."]:
-    """Weights of three corners ``(*)`` from their shares along ``dim``: none is negative, and they add up to one.
+def convex(weights: Float[Tensor, " ..."], dim: int) -> Float[Tensor, " ..."]:
+    """Weights of three corners ``(*)`` from their weights along ``dim``: none is negative, and they add up to one.
 
     On an edge rounding gives a corner a little less than nothing. Left so, values above zero could be interpolated to
     one below it.
@@ -83,8 +83,8 @@ def convex(shares: Float[Tensor, " ..."], dim: int) -> Float[Tensor, " ..."]:
         >>> convex(torch.tensor([3.0, 1.0, -1e-6]), 0)
         tensor([0.7500, 0.2500, 0.0000])
     """
-    shares = shares.clamp(min=0)
-    return shares / shares.sum(dim, keepdim=True)
+    weights = weights.clamp(min=0)
+    return weights / weights.sum(dim, keepdim=True)
 
 
 def triple(a: Float[Tensor, "M 3"], b: Float[Tensor, "M 3"], c: Float[Tensor, "M 3"]) -> Float[Tensor, " M"]:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -13,9 +13,9 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import check_choice
 from sphericalvision.scenes.kinds.palette import Palette
-from sphericalvision.scenes.rendering.primitives import Part, Primitives, pack
+from sphericalvision.scenes.rendering.primitives import Part, Primitives, map_columns, pack
 from sphericalvision.scenes.rendering.raycast import trace
-from sphericalvision.scenes.rendering.scene import Materials, Scene, pack_materials
+from sphericalvision.scenes.rendering.scene import Scene, pack_materials
 
 __all__ = ["CARRIERS", "Carried", "carrier_masks", "with_carrier"]
 
@@ -59,16 +59,14 @@ def with_carrier(scene: Scene, kind: str, rig: CameraRig, seed: int = 0) -> Carr
     sides = (rig.positions - rig.center).abs().amax(0).tolist()
     pieces = {"pole": _pole, "robot": _robot, "vehicle": _vehicle}[kind](palette, sides, floor)
     body = pack(pieces).transformed(translation=rig.center.cpu().float())
-    materials = pack_materials(palette.materials)
+    materials = (scene.materials, pack_materials(palette.materials))
     placed = replace(body, material=body.material + len(scene.materials.texture))
-    return Carried(
-        replace(
-            scene,
-            primitives=Primitives.concatenate([scene.primitives, placed]),
-            materials=_joined(scene.materials, materials),
-        ),
-        body,
+    carried = replace(
+        scene,
+        primitives=Primitives.concatenate([scene.primitives, placed]),
+        materials=map_columns(lambda *columns: torch.cat(columns), *materials),
     )
+    return Carried(carried, body)
 
 
 def carrier_masks(body: Primitives, rig: CameraRig) -> dict[str, Bool[Tensor, "h w"]]:
@@ -82,11 +80,6 @@ def carrier_masks(body: Primitives, rig: CameraRig) -> dict[str, Bool[Tensor, "h
         ]  # pixels that it covers in part
         masks[name] = around == 0
     return masks
-
-
-def _joined(first: Materials, second: Materials) -> Materials:
-    names = [field.name for field in fields(Materials)]
-    return Materials(**{name: torch.cat([getattr(first, name), getattr(second, name)]) for name in names})
 
 
 def _pole(palette: Palette, sides: list[float], floor: float) -> list[Part]:

@@ -68,8 +68,8 @@ def in_weather(palette: Palette, land: list[Part], parts: list[Part], clear: flo
     ambient = torch.full((3,), 1.0 if light == "even" else palette.uniform(0.15, 0.5))
     fog = 3 / palette.log_uniform(15.0, 200.0) if palette.chance(foggy) else 0.0
     keep = (pack(parts).distance_from(torch.zeros(3)) >= clear).tolist()
-    parts = land + [part for part, is_clear in zip(parts, keep, strict=True) if is_clear]
-    return palette.scene(parts, lamps, ambient, torch.full((2, 3), palette.uniform(0.1, 0.3)), fog)
+    pieces = land + [part for part, is_clear in zip(parts, keep, strict=True) if is_clear]
+    return palette.scene(pieces, lamps, ambient, torch.full((2, 3), palette.uniform(0.1, 0.3)), fog)
 
 
 def weathered(palette: Palette, size: float, names: tuple[str, ...] = ("spectrum", "cells", "noise")) -> int:

@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from jaxtyping import Float
@@ -14,13 +14,14 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_choice
 
-__all__ = ["SHAPES", "Part", "Primitives", "pack"]
+__all__ = ["SHAPES", "Part", "Primitives", "map_columns", "pack"]
 
 #: Unit shapes, in their local frame: the square [-1, 1]² at z = 0, the cube [-1, 1]³, the unit ball, and the
 #: cylinder x² + z² <= 1, |y| <= 1. Every primitive is one of them, stretched by ``half``, turned and moved.
 SHAPES = ("rectangle", "box", "ellipsoid", "cylinder")
 
 Vector = tuple[float, float, float]
+Table = TypeVar("Table", bound=Any)
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,12 @@ class Columns(NamedTuple):
     offset: Tensor
     box: Tensor
     half: Tensor
+
+
+def map_columns(function: Callable[..., Tensor], *tables: Table) -> Table:
+    """The table whose columns are what a function makes of those of one table, or of several of the same type."""
+    columns = {f.name: function(*(getattr(table, f.name) for table in tables)) for f in fields(tables[0])}
+    return type(tables[0])(**columns)
 
 
 @dataclass(frozen=True)
@@ -129,7 +136,7 @@ class Primitives:
 
     def select(self, rows: Tensor) -> Primitives:
         """The given rows as a table."""
-        return Primitives(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+        return map_columns(lambda column: column[rows], self)
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Primitives:
         """The table on another device, or with another floating-point type."""
@@ -137,7 +144,7 @@ class Primitives:
         def move(value: Tensor) -> Tensor:
             return value.to(device, dtype if value.is_floating_point() else None)
 
-        return Primitives(**{f.name: move(getattr(self, f.name)) for f in fields(self)})
+        return map_columns(move, self)
 
     def transformed(
         self, rotation: Float[Tensor, "3 3"] | None = None, translation: Float[Tensor, " 3"] | None = None
@@ -166,10 +173,7 @@ class Primitives:
     @staticmethod
     def concatenate(tables: Iterable[Primitives]) -> Primitives:
         """One table with the rows of all."""
-        tables = list(tables)
-        return Primitives(
-            **{f.name: torch.cat([getattr(t, f.name) for t in tables]) for f in fields(Primitives)}
-        )
+        return map_columns(lambda *columns: torch.cat(columns), *tables)
 
 
 def pack(parts: Sequence[Part]) -> Primitives:

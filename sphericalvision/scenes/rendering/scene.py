@@ -4,19 +4,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
-from typing import NamedTuple, TypeVar
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.scenes.rendering.primitives import Primitives
+from sphericalvision.scenes.rendering.primitives import Primitives, map_columns
 
 __all__ = ["Lamp", "Lamps", "Material", "Materials", "Scene", "pack_lamps", "pack_materials", "sky_light"]
 
 Color = tuple[float, float, float]
-Table = TypeVar("Table", "Materials", "Lamps")
 
 
 class Material(NamedTuple):
@@ -112,14 +111,17 @@ class Scene:
     def to(self, device: torch.device | str) -> Scene:
         """The scene on another device."""
 
+        def move(value: Tensor) -> Tensor:
+            return value.to(device)
+
         return Scene(
             primitives=self.primitives.to(device),
-            materials=_moved(self.materials, device),
-            lamps=_moved(self.lamps, device),
-            ambient=self.ambient.to(device),
-            background=self.background.to(device),
-            exposure=self.exposure.to(device),
-            clouds=self.clouds.to(device),
+            materials=map_columns(move, self.materials),
+            lamps=map_columns(move, self.lamps),
+            ambient=move(self.ambient),
+            background=move(self.background),
+            exposure=move(self.exposure),
+            clouds=move(self.clouds),
             fog=self.fog,
         )
 
@@ -144,10 +146,6 @@ class Scene:
         lamps = Lamps(self.lamps.position * factor, self.lamps.color * factor**2, self.lamps.reach * factor)
         table = self.primitives.scaled(factor)
         return replace(self, primitives=table, materials=materials, lamps=lamps, fog=self.fog / factor)
-
-
-def _moved(table: Table, device: torch.device | str) -> Table:
-    return replace(table, **{f.name: getattr(table, f.name).to(device) for f in fields(table)})
 
 
 def pack_materials(materials: Sequence[Material]) -> Materials:

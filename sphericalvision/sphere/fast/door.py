@@ -89,7 +89,7 @@ def _sums_of_taps(
     """
     (height, width), step = image_size, stride[1]
     taps = taps_of(image_size, kernel_size, stride, dilation, torch.float64, "cpu").flatten(0, 2)
-    made, entries = torch.arange(len(taps), device="cpu"), []
+    tap_ids, entries = torch.arange(len(taps), device="cpu"), []
     base, part = taps.floor().long(), taps - taps.floor()
     for right in (0, 1):
         for down in (0, 1):
@@ -103,13 +103,13 @@ def _sums_of_taps(
             row = row.clamp(0, height - 1)
             for turn in (width // 2, (width + 1) // 2):
                 wrapped = torch.where(over, column + turn, column) % width
-                entries.append((made, row * step + wrapped % step, wrapped // step, bilinear_weight / 2))
-    made, row, shift, weight = (torch.cat(parts) for parts in zip(*entries, strict=True))
+                entries.append((tap_ids, row * step + wrapped % step, wrapped // step, bilinear_weight / 2))
+    tap_ids, row, shift, weight = (torch.cat(each) for each in zip(*entries, strict=True))
     # The same pixel twice is one entry, and what has no weight is none.
     length = width // step
-    keys, index = torch.unique((made * height * step + row) * length + shift, return_inverse=True)
+    keys, index = torch.unique((tap_ids * height * step + row) * length + shift, return_inverse=True)
     weight = weight.new_zeros(len(keys)).index_add_(0, index, weight)
     keys, weight = keys[weight > 0], weight[weight > 0]
-    made, row, shift = keys // length // (height * step), keys // length % (height * step), keys % length
-    forward = row_sums(made, row, shift, weight, len(taps))
+    tap_ids, row, shift = keys // length // (height * step), keys // length % (height * step), keys % length
+    forward = row_sums(tap_ids, row, shift, weight, len(taps))
     return forward, adjoint(forward, height * step, kernel_size[0] * kernel_size[1], length)

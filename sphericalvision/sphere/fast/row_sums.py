@@ -39,11 +39,11 @@ class RowSums(NamedTuple):
 
 
 def row_sums(
-    made: Int[Tensor, " e"],
+    target: Int[Tensor, " e"],
     row: Int[Tensor, " e"],
     shift: Int[Tensor, " e"],
     weight: Float[Tensor, " e"],
-    num_made: int,
+    num_targets: int,
 ) -> RowSums:
     """Sort entries ``(e,)`` by the row that they belong to.
 
@@ -53,16 +53,16 @@ def row_sums(
         (tensor([[6, 6],
                 [5, 7]]), tensor([1, 2]))
     """
-    order = made.argsort(stable=True)
-    made = made[order]
-    count = torch.bincount(made, minlength=num_made)
+    order = target.argsort(stable=True)
+    target = target[order]
+    count = torch.bincount(target, minlength=num_targets)
     first = count.cumsum(0) - count
-    rank = torch.arange(len(made), device=made.device) - first[made]
-    unused = torch.arange(int(count.max()), device=made.device) >= count[:, None]
+    rank = torch.arange(len(target), device=target.device) - first[target]
+    unused = torch.arange(int(count.max()), device=target.device) >= count[:, None]
 
     def arranged(entries: Tensor) -> Tensor:
         table = entries.new_zeros(unused.shape)
-        table[made, rank] = entries[order]
+        table[target, rank] = entries[order]
         return table
 
     row, shift = (torch.where(unused, table[:, :1], table) for table in (arranged(row), arranged(shift)))

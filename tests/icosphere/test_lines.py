@@ -9,7 +9,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere, icosphere_edges, icosphere_neighbors
 from sphericalvision.icosphere.lines import icosphere_lines
 
@@ -58,8 +57,3 @@ def test_turning_by_a_fifth_takes_lines_to_lines_and_cuts_to_cuts(level: int) ->
     backwards = loops.roll(-1, 1).flip(1).view(-1, 5, 2**level).flatten(0, 1)
     known = {tuple(line) for line in fifths} | {tuple(line) for line in backwards.tolist()}
     assert {tuple(line) for line in turned} <= known
-
-
-def test_a_negative_level_is_refused() -> None:
-    with pytest.raises(ArgumentError, match="level"):
-        icosphere_lines(-1)

@@ -17,7 +17,7 @@ from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.data import ToSphere
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import SemiGlobalSweep
-from sphericalvision.sphere.intake import Intake, as_photographs, signed, unsigned
+from sphericalvision.sphere.intake import Intake, as_photographs
 
 MASK = torch.arange(32)[None].expand(32, 32) > 12
 RIG = ring_rig(3, image_size=(32, 32))
@@ -59,11 +59,6 @@ def test_bytes_are_shares_of_white_and_other_integers_are_refused(generator: tor
         Intake(rig, None)({name: image.long() for name, image in images.items()})
     with pytest.raises(ArgumentError, match="images: expected floats in "):
         ToSphere(3).images({name: image.float() for name, image in images.items()}, rig)
-
-
-def test_signed_has_an_inverse(generator: torch.Generator) -> None:
-    images = torch.rand(3, 3, 10, generator=generator)
-    torch.testing.assert_close(unsigned(signed(images)), images)
 
 
 def test_other_cameras_and_sizes_are_refused() -> None:

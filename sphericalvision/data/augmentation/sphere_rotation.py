@@ -68,13 +68,13 @@ def rotate_on_sphere(
     sources = source_directions(grid, rotation)
     if kind in ("depth", "labels"):
         return _gather(flat, grid.nearest(sources)).view(values.shape)
-    if kind == "seen":
-        weight = grid.sample(flat.to(sources).unflatten(-1, grid.shape), sources)
-        return (weight > SEEN_WEIGHT).view(values.shape)
+    flat = flat.to(sources) if kind == "seen" else flat
     sampled = grid.sample(flat.unflatten(-1, grid.shape), sources)
-    if kind == "image":
-        return sampled.reshape(values.shape)
-    return F.normalize(_rotate_vectors(sampled, rotation), dim=-2).view(values.shape)
+    if kind == "seen":
+        sampled = sampled > SEEN_WEIGHT
+    elif kind == "normals":
+        sampled = F.normalize(_rotate_vectors(sampled, rotation), dim=-2)
+    return sampled.reshape(values.shape)
 
 
 def source_directions(grid: SphereGrid, rotation: Float[Tensor, "*turns 3 3"]) -> Float[Tensor, "*turns n 3"]:
@@ -230,18 +230,8 @@ def _yaw_ids(grid: SphereGrid, steps: Tensor) -> Tensor:
     index = torch.arange(math.prod(grid.shape), device=steps.device)
     if isinstance(grid, Equirectangular):
         return index - index % count + (index - steps) % count
-    if isinstance(grid, Icosphere):
-        return fivefold_ids(grid.num_vertices, steps)
-    directions = grid.directions.reshape(-1, 3)
-    rotation = yaw_rotation(yaw_angle(steps.squeeze(-1), count))
-    return grid.nearest(directions @ rotation.to(directions))
-
-
-def fivefold_ids(num_vertices: int, steps: Tensor) -> Tensor:
-    """Return where the value of each vertex of an icosphere comes from when charts move on by ``steps`` ``(*, 1)``.
-
-    The icosahedron maps onto itself by multiples of 72 degrees, chart to chart; the poles stay.
-    """
-    place, chart_size = torch.arange(num_vertices, device=steps.device), (num_vertices - 2) // 5
-    turned = 1 + (place - 1 - steps * chart_size) % (5 * chart_size)
-    return torch.where((place == 0) | (place == num_vertices - 1), place, turned)
+    if isinstance(grid, Icosphere):  # chart by chart; the poles stay
+        last = grid.num_vertices - 1
+        moved = 1 + (index - 1 - steps * ((last - 1) // 5)) % (last - 1)
+        return torch.where((index == 0) | (index == last), index, moved)
+    return grid.nearest(source_directions(grid, yaw_rotation(yaw_angle(steps.squeeze(-1), count))))

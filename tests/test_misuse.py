@@ -675,6 +675,32 @@ RomniStereo(16, iterations=0) -> feature_channels, iterations: Argument
 RomniStereo(16, in_channels=2) -> in_channels: Argument
 collate_samples([{'images': {'a': IMAGE}}, {'images': {'a': IMAGE[:, 1:]}}]) -> images.a: Shape
 left_right_error(torch.ones(2, 3), torch.ones(2, 3)) -> pred: Shape
+# sphere, geometry, icosphere, pictures
+ring_from_nested(torch.ones(2), 4) -> ids: Argument
+nested_from_ring(torch.ones(2).bool(), 4) -> ids: Argument
+views(torch.zeros(3, 24, 48)).merge(quantity='range') -> quantity: Argument
+views(torch.zeros(1, 24, 48)).merge(quantity='depth') -> quantity: Argument
+views(torch.zeros(1, 24, 48), layout='dodecahedron') -> layout: Argument
+Views([torch.zeros(3, 24, 24)] * 2, rig()) -> images: Argument
+Views.of_pairs(rectified_pairs(rig()), [torch.zeros(24, 24)]) -> disparities: Argument
+Views([torch.zeros(1, 24, 24)] * 4, rig()).merge(center=rig().center) -> center: Argument
+bilinear_sample(IMAGE, torch.zeros(2, 2), padding='wrap') -> padding: Argument
+level_from_num_vertices(43) -> number of vertices: Shape
+depth_to_color(torch.ones(2), 2.0, 1.0) -> min_depth, max_depth: Argument
+depth_to_color(torch.ones(2), NAN, 1.0) -> min_depth, max_depth: Argument
+depth_to_color(torch.ones(2), 0.0, math.inf) -> min_depth, max_depth: Argument
+rig_picture(CameraRig.stack([rig(), rig()])) -> rig: Argument
+coverage_panorama(CameraRig.stack([rig(), rig()])) -> rig: Argument
+# data
+RandomYaw(ico())({'images': VALUES, 'panorama_valid': torch.ones(4, 8), 'rig': rig()}) -> sample: Argument
+RandomSphereRotation(ico())({'images': VALUES, 'panorama_valid': SEEN, 'rig': rig()}) -> sample: Argument
+RotateFisheye()({'images': VALUES, 'rig': rig()}) -> RotateFisheye: Argument
+RotateFisheye()({'images': {'cam1': IMAGE}, 'rig': rig()}) -> images: Argument
+RandomShift()({'images': VALUES, 'rig': rig()}) -> RandomShift: Argument
+RotateFivefold(steps=1)({'panorama_valid': torch.ones(8, 16), 'rig': rig()}) -> panorama_valid: Argument
+truth_from_points(torch.ones(4), ico()) -> points: Shape
+truth_from_points(torch.full((3, 3), NAN), ico()) -> points: Argument
+truth_from_points(torch.ones(3, 3), ico(), gap=-1.0) -> gap: Argument
 # cameras: poses, images of a rig, rectified pairs
 CameraRig([camera()] * 4, EYES.repeat(3, 1, 1)) -> world_from_camera: Shape
 sample_sphere(rig(), [torch.zeros(3, 24, 24)] * 3, DIRECTIONS) -> images: Argument

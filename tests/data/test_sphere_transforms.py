@@ -302,7 +302,3 @@ def test_bad_arguments_are_named() -> None:
         rotate_on_sphere(torch.rand(2, 42), grid, torch.eye(3), "normals")
     with pytest.raises(ShapeError, match="rotation"):
         rotate_on_sphere(torch.rand(2, 42), grid, torch.eye(4))
-    sample = {"images": torch.rand(2, 3, 42), "panorama_valid": torch.ones(4, 8).bool(), "rig": ring_rig(2)}
-    for turn in (RandomYaw(grid, same_on_batch=True), RandomSphereRotation(grid, same_on_batch=True)):
-        with pytest.raises(ArgumentError, match="sample: panorama_valid would stay as they are"):
-            turn(sample)

@@ -10,7 +10,6 @@ import pytest
 import torch
 import trimesh
 
-from sphericalvision.core import ShapeError
 from sphericalvision.icosphere import (
     Icosphere,
     icosphere_faces,
@@ -147,12 +146,6 @@ def test_solid_angles_integrate_smooth_functions() -> None:
     ico = Icosphere(5, dtype=torch.float64)
     y_squared = (ico.vertices[:, 1].square() * ico.solid_angles).sum()
     assert y_squared.item() == pytest.approx(4 * np.pi / 3, rel=1e-3)
-
-
-@pytest.mark.parametrize("count", [0, 1, 2, 11, 13, 40, 43, 643])
-def test_number_of_vertices_must_be_of_an_icosphere(count: int) -> None:
-    with pytest.raises(ShapeError, match=f"got {count}"):
-        level_from_num_vertices(count)
 
 
 def test_tables_are_not_saved_and_follow_the_dtype() -> None:

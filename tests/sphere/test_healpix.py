@@ -136,13 +136,6 @@ def test_numbers_may_be_integers_of_every_type(
         assert renumbered(torch.tensor([-1], dtype=dtype), 4).tolist() == [-1]
 
 
-@pytest.mark.parametrize("renumbered", [ring_from_nested, nested_from_ring])
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bool, torch.complex64])
-def test_other_numbers_are_refused(renumbered: Callable[[Tensor, int], Tensor], dtype: torch.dtype) -> None:
-    with pytest.raises(ArgumentError, match="ids: expected integers"):
-        renumbered(torch.ones(2).to(dtype), 4)
-
-
 @pytest.mark.parametrize("nside", [1, 2, 3, 8, 64])
 @pytest.mark.parametrize("nested", [False, True])
 def test_agrees_with_healpy(nside: int, nested: bool) -> None:

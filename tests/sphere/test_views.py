@@ -25,7 +25,7 @@ from sphericalvision.cameras import (
     rotation_from_yaw_pitch_roll,
     z_from_depth,
 )
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ShapeError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.scenes import make_scene, ray_depth
 from sphericalvision.sphere import Equirectangular, Views, views
@@ -119,8 +119,6 @@ def test_depth_of_a_rendered_room_is_merged_to_the_truth(layout: str, quantity: 
     torch.testing.assert_close(
         holed.values[holed.valid[None]], found.values[holed.valid[None]], rtol=0.1, atol=0
     )
-    with pytest.raises(ArgumentError, match="quantity: depth has one channel, got 3"):
-        views(smooth(pixels(PANORAMA))).merge(quantity="range")
 
 
 def test_a_view_that_disagrees_counts_little() -> None:
@@ -161,8 +159,6 @@ def test_photographs_of_a_rig_merge_into_the_panorama_that_they_show() -> None:
     assert repr(Views(images, rig).target) == repr(cut.target)
     alone = views(images["front"], fisheye, "cube", image_size=(20, 20))
     assert set(alone.rig.masks) == {"cam2", "cam3", "cam4", "cam5", "cam6"}  # all but the view ahead
-    with pytest.raises(ArgumentError, match="images"):
-        Views(list(images.values())[:2], rig)
 
 
 def test_parts_of_panoramas_and_grids_are_cut_too() -> None:
@@ -200,10 +196,6 @@ def test_z_is_along_each_views_own_axis() -> None:
     there = wall.valid
     torch.testing.assert_close(wall.values[0][there], 2 / pixels(PANORAMA)[there][:, 2], atol=0.03, rtol=0)
     assert wall.values[0][there].max() > 0.95 * expected.max()
-    with pytest.raises(ArgumentError, match="quantity"):
-        cut.merge(quantity="depth")
-    with pytest.raises(ArgumentError, match="layout"):
-        views(torch.zeros(1, 48, 96), layout="dodecahedron")
     own = Views([torch.zeros(1, 64, 64)] * 4, ring_rig(4, image_size=(64, 64))).target
     assert isinstance(own, Camera)
     assert own.image_size[0] > 32
@@ -264,13 +256,3 @@ def test_pairs_that_see_infinity_are_merged_far_away() -> None:
     assert far.isfinite().all()
     assert far.min() > 500
     assert 900 < far.median() < 1100
-
-
-def test_refusals_of_pairs() -> None:
-    rig = ring_rig(4, image_size=(16, 16))
-    pairs = rectified_pairs(rig)
-    with pytest.raises(ArgumentError, match="disparities: expected one for each of 6 pairs, got 1"):
-        Views.of_pairs(pairs, [torch.zeros(pairs[0].image_size)])
-    photographs = Views([torch.rand(1, 16, 16)] * 4, rig)
-    with pytest.raises(ArgumentError, match="center: expected with depth"):
-        photographs.merge(center=rig.center)

@@ -10,7 +10,6 @@ import pytest
 import torch
 
 from sphericalvision.cameras import CameraRig, FisheyeCamera, PinholeCamera, ring_rig
-from sphericalvision.core import ArgumentError
 from sphericalvision.viz import angle_map, coverage_panorama, rig_picture
 
 
@@ -64,10 +63,3 @@ def test_every_camera_of_a_rig_is_drawn_in_its_colour() -> None:
         half = picture.shape[0] // 2
         assert both[:half].sum() > 50
         assert both[half:].sum() > 50
-
-
-def test_batches_are_refused() -> None:
-    batch = CameraRig.stack([ring_rig(3), ring_rig(3, radius=0.1)])
-    for draw in (rig_picture, coverage_panorama):
-        with pytest.raises(ArgumentError, match="select"):
-            draw(batch)

@@ -188,12 +188,10 @@ def test_symmetric_rotations_permute(name: str) -> None:
         torch.testing.assert_close(turned[:, mine], expected[:, mine], rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize(
-    ("name", "other"), [("cubemap", 2), ("equirectangular", 2), ("icosphere", 2), ("healpix", 2)]
-)
-def test_symmetric_rotations_commute(name: str, other: int) -> None:
+@pytest.mark.parametrize("name", ["cubemap", "equirectangular", "icosphere", "healpix"])
+def test_symmetric_rotations_commute(name: str) -> None:
     """To rotate and then convert is to convert and then rotate, for a rotation that both grids know."""
-    source, target = make(name, 1), make(name, other)
+    source, target = make(name, 1), make(name, 2)
     values = torch.randn(1, *source.shape, dtype=DOUBLE)
     for rotation in GRIDS[name].symmetries(source)[:8]:
         first = resample(resample(values, source, source, rotation), source, target)

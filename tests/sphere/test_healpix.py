@@ -64,15 +64,6 @@ def test_centers_are_those_of_the_paper(nside: int) -> None:
     )
 
 
-@pytest.mark.parametrize(("nside", "nested"), [(1, True), (2, False), (5, False), (8, True), (8, False)])
-def test_pixels_have_one_area(nside: int, nested: bool) -> None:
-    grid = Healpix(nside, nested)
-    points = 400 * grid.num_pixels
-    counts = torch.bincount(grid.nearest(spread_directions(points)), minlength=grid.num_pixels)
-    assert (counts - 400).abs().max() <= 24  # of 400 points, those along the border
-    assert torch.equal(grid.nearest(grid.directions), torch.arange(grid.num_pixels))
-
-
 @pytest.mark.parametrize("nside", [1, 2, 4, 16])
 def test_nested_pixels_contain_their_children(nside: int) -> None:
     directions = awkward_directions()

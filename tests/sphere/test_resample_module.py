@@ -108,20 +108,9 @@ def test_partial_grids_tell_what_they_see() -> None:
     image = torch.zeros(48, 48)
     camera = FisheyeCamera.from_field_of_view((48, 48), math.radians(200))
     valid = resample_mask(camera, target)
-    assert (
-        torch.equal(valid, angle <= math.radians(100))
-        or ((valid != (angle <= math.radians(100))) <= ((angle - math.radians(100)).abs() < 1e-5)).all()
-    )
+    clear = (angle - math.radians(100)).abs() > 1e-5
+    assert torch.equal(valid[clear], angle[clear] <= math.radians(100))
     assert (resample(image[None], camera, target, fill=9.0)[0] == torch.where(valid, 0.0, 9.0)).all()
-
-
-def test_depth_stays_along_the_ray() -> None:
-    """A sphere around the rig is as far in every direction, in every grid and camera, however they are turned."""
-    panorama = Equirectangular(16, 32)
-    pinhole = PinholeCamera([20.0, 20.0], [15.5, 15.5], (32, 32))
-    for target in (*SMALL, pinhole):
-        depth = resample(torch.full((1, 16, 32), 2.5), panorama, target, some_rotation().float())
-        torch.testing.assert_close(depth, torch.full_like(depth, 2.5))
 
 
 def test_area_of_a_nested_pair_is_the_exact_mean() -> None:
@@ -141,16 +130,6 @@ def test_area_of_a_growing_image_is_bilinear() -> None:
     image = torch.rand(1, 8, 16, dtype=DOUBLE)
     source, target = Equirectangular(8, 16), Cubemap(16)
     assert torch.equal(resample(image, source, target, mode="area"), resample(image, source, target))
-
-
-def test_stripes_finer_than_the_target_turn_grey() -> None:
-    """The picture of aliasing: stripes of two pixels, made five times coarser."""
-    stripes = (torch.arange(320) // 2 % 2).double().expand(1, 160, 320)
-    source, target = Equirectangular(160, 320), Equirectangular(32, 64)
-    belt = slice(8, 24)
-    turned = some_rotation(6)
-    assert resample(stripes, source, target, turned)[0, belt].std() > 0.25
-    assert resample(stripes, source, target, turned, mode="area")[0, belt].std() < 0.12
 
 
 @pytest.mark.parametrize("mode", ["bilinear", "area"])
@@ -174,36 +153,6 @@ def test_gradients_by_intrinsics(mode: str) -> None:
         return resample(image[..., :12], lens, Icosphere(1), mode=mode)
 
     assert torch.autograd.gradcheck(onto_sphere, (distortion,))
-
-
-def test_gradient_descent_finds_the_rotation() -> None:
-    """What gradients by rotation are for: two pictures of one scene, turned against each other."""
-    panorama, ico = Equirectangular(16, 32, dtype=DOUBLE), Icosphere(3, dtype=DOUBLE)
-    image = torch.stack(
-        (panorama.directions[..., 0], panorama.directions[..., 1] * panorama.directions[..., 2])
-    )
-    truth = torch.linalg.matrix_exp(skew(torch.tensor([0.1, -0.2, 0.15], dtype=DOUBLE)))
-    seen = resample(image, panorama, ico, truth)
-    turn = torch.zeros(3, dtype=DOUBLE, requires_grad=True)
-    optimizer = torch.optim.LBFGS([turn], max_iter=30, line_search_fn="strong_wolfe")
-
-    def loss() -> Tensor:
-        optimizer.zero_grad()
-        now = resample(image, panorama, ico, torch.linalg.matrix_exp(skew(turn)))
-        value = (now - seen).square().mean()
-        value.backward()
-        return value
-
-    optimizer.step(loss)
-    torch.testing.assert_close(
-        turn.detach(), torch.tensor([0.1, -0.2, 0.15], dtype=DOUBLE), rtol=0, atol=1e-4
-    )
-
-
-def skew(vector: Tensor) -> Tensor:
-    x, y, z = vector.unbind(-1)
-    zero = torch.zeros_like(x)
-    return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).unflatten(-1, (3, 3))
 
 
 class Ring:

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from sphericalvision.icosphere import icosphere_faces, icosphere_vertices
-from sphericalvision.sphere import Equirectangular, TangentImages, resample
+from sphericalvision.sphere import TangentImages
 from tests.laws.grid_laws import DOUBLE, spread_directions
 
 
@@ -56,13 +56,3 @@ def test_solid_angles_of_the_pixels_of_a_face_sum_to_the_face() -> None:
     torch.testing.assert_close(grid.solid_angles.sum((1, 2)), excess, rtol=1e-10, atol=0)
     assert (grid.solid_angles <= grid.cell_widths**2 * 1.02).all()
     assert (grid.solid_angles == 0).any()
-
-
-def test_to_patches_and_back() -> None:
-    """What a network would do: cut a panorama into patches, work on them, put them together."""
-    panorama = Equirectangular(48, 96, dtype=DOUBLE)
-    patches = TangentImages(0, 33, dtype=DOUBLE)
-    x, y, z = panorama.directions.unbind(-1)
-    image = torch.stack((x * y, z + 0.3 * x))
-    again = resample(resample(image, panorama, patches), patches, panorama)
-    assert (again - image).abs().max() < 4e-3

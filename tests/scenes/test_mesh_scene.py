@@ -156,31 +156,28 @@ def test_any_camera_takes_pictures_of_a_mesh() -> None:
     assert share == pytest.approx(math.pi * radius**2 / (2 * math.pi * math.pi), rel=0.15)
 
 
-def test_what_is_no_mesh_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(MissingFileError, match=r"room\.glb.*a mesh expected"):
-        read_mesh_scene(tmp_path / "room.glb")
-    (tmp_path / "room.txt").write_text("")
-    with pytest.raises(FileFormatError, match=r"room\.txt: expected a mesh \(\.glb"):
-        read_mesh_scene(tmp_path / "room.txt")
-    for suffix in (".glb", ".ply"):
-        (tmp_path / f"damaged{suffix}").write_bytes(b"nothing of the kind")
-        with pytest.raises(FileFormatError, match="cannot be read as a mesh"):
-            read_mesh_scene(tmp_path / f"damaged{suffix}")
-    trimesh.PointCloud(np.eye(3)).export(tmp_path / "points.ply")
-    with pytest.raises(FileFormatError, match=r"triangles.*found none"):
-        read_mesh_scene(tmp_path / "points.ply")
-    with pytest.raises(ArgumentError, match="'y', 'z'"):
-        MeshScene(quad(), up="x")
-    with pytest.raises(ArgumentError, match="scale"):
-        MeshScene(quad(), scale=0.0)
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("room.glb", None),
+        ("room.txt", b""),
+        ("damaged.glb", b"nothing of the kind"),
+        ("damaged.ply", b"nothing of the kind"),
+        ("flat.obj", b"v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n"),
+        ("points.ply", trimesh.PointCloud(np.eye(3)).export(file_type="ply")),
+    ],
+)
+def test_what_is_no_mesh_is_refused_by_name(name: str, content: bytes | None, tmp_path: Path) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(MissingFileError if content is None else FileFormatError, match=name):
+        read_mesh_scene(tmp_path / name)
 
 
-def test_triangles_that_make_no_sense_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "flat.obj").write_text("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n")
-    with pytest.raises(
-        FileFormatError, match=r"flat\.obj: (its triangles or textures make no sense|cannot be read)"
-    ):
-        read_mesh_scene(tmp_path / "flat.obj")
+@pytest.mark.parametrize("wrong", [{"up": "x"}, {"scale": 0.0}])
+def test_other_axes_and_scales_are_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(ArgumentError, match=next(iter(wrong))):
+        MeshScene(quad(), **wrong)
 
 
 def quad_with_texture(folder: Path, named: str) -> Path:
@@ -367,13 +364,6 @@ def test_what_trimesh_reads_wrongly_of_a_gltf_is_refused(corners: Any, texture: 
     path = square(tmp_path, {"POSITION": CORNERS, **corners}, material)
     with pytest.raises(FileFormatError, match=r"square\.gltf"):
         read_mesh_scene(path)
-
-
-def test_a_texture_of_a_gltf_is_on_its_coordinates(tmp_path: Path) -> None:
-    path = square(tmp_path, {"POSITION": CORNERS, "TEXCOORD_0": PICTURE}, {"baseColorTexture": {"index": 0}})
-    spots = torch.tensor([[-0.9, -0.9, 1.0], [0.9, -0.9, 1.0], [-0.9, 0.9, 1.0], [0.9, 0.9, 1.0]])
-    seen = render_directions(read_mesh_scene(path), ORIGIN, torch.nn.functional.normalize(spots, dim=-1))
-    assert seen.argmax(0).tolist() == [0, 0, 1, 2]
 
 
 def test_what_a_gltf_needs_is_read_or_refused(tmp_path: Path) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rays against primitives: closed-form distances, brute-force marching, and laws of hits, normals and shadows."""
+"""Rays against primitives: laws of hits, normals and shadows."""
 
 from __future__ import annotations
 
@@ -42,52 +42,6 @@ def random_primitives(count: int, generator: torch.Generator, shapes: tuple[str,
         shape = shapes[k % len(shapes)]
         parts.append(Part(shape, tuple(center.tolist()), tuple(half.tolist()), rotation=rotation.tolist()))
     return pack(parts)
-
-
-def test_sphere_distance_in_closed_form(generator: torch.Generator) -> None:
-    center, radius = torch.tensor([0.3, -0.4, 3.0], dtype=torch.float64), 0.7
-    ball = pack([Part("ellipsoid", tuple(center.tolist()), (radius,) * 3)]).to(dtype=torch.float64)
-    directions = torch.nn.functional.normalize(
-        center + 0.5 * torch.randn(500, 3, generator=generator, dtype=torch.float64), dim=-1
-    )
-    along = directions @ ball.center[0]
-    room = ball.half[0, 0] ** 2 - (ball.center[0].square().sum() - along**2)
-    expected = torch.where(room >= 0, along - room.clamp(min=0).sqrt(), torch.inf)
-    distance = trace(ball, torch.zeros(3, dtype=torch.float64), directions).distance
-    assert expected.isfinite().float().mean() > 0.3
-    torch.testing.assert_close(distance, expected, rtol=1e-9, atol=1e-9)
-
-
-def test_cylinder_is_hit_on_side_and_cap() -> None:
-    cylinder = pack([Part("cylinder", (0.0, 2.0, 0.0), (0.5, 1.0, 0.5))])
-    origins = torch.tensor([[0.2, -1.0, 0.1], [0.0, 2.0, -3.0], [0.3, 2.0, -3.0], [0.6, -1.0, 0.0]])
-    directions = torch.tensor([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
-    expected = torch.tensor([2.0, 2.5, 3.0 - math.sqrt(0.5**2 - 0.3**2), math.inf])
-    torch.testing.assert_close(trace_each(cylinder, origins, directions)[0], expected)
-
-
-def test_rectangle_ends_where_its_half_size_says() -> None:
-    wall = pack([Part("rectangle", (0.0, 0.0, 2.0), (1.0, 0.5, 1.0))])
-    x = torch.tensor(
-        [[0.99, 0.0, 2.0], [1.01, 0.0, 2.0], [0.0, 0.49, 2.0], [0.0, 0.51, 2.0], [0.0, 0.0, -2.0]]
-    )
-    hit = trace(wall, torch.zeros(3), torch.nn.functional.normalize(x, dim=-1)).primitive
-    assert hit.tolist() == [0, -1, 0, -1, -1]
-
-
-def test_neighbouring_rays_meet_what_they_meet_alone(generator: torch.Generator) -> None:
-    """A chunk of rays in a narrow cone looks at the primitives around the cone only; own origins turn that off."""
-    primitives, limit = random_primitives(40, generator), 4.0
-    for axis in unit_vectors(20, generator):
-        directions = torch.nn.functional.normalize(
-            axis + 0.1 * torch.randn(200, 3, generator=generator), dim=-1
-        )
-        narrow = trace(primitives, torch.zeros(3), directions)
-        alone, _ = trace_each(primitives, torch.zeros(200, 3), directions)
-        torch.testing.assert_close(narrow.distance, alone, rtol=1e-5, atol=1e-5)
-        hidden = shadowed(primitives, directions, torch.full((200,), limit))
-        clear = (narrow.distance - limit).abs() > 1e-3
-        assert torch.equal(hidden[clear], (narrow.distance < limit)[clear])
 
 
 def test_more_rays_than_a_chunk_in_any_shape(generator: torch.Generator) -> None:

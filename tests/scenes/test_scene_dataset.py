@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ShapeError
 from sphericalvision.data import SampleView
 from sphericalvision.data.augmentation.fivefold import RotateFivefold, rotate_fivefold
+from sphericalvision.data.augmentation.sphere_rotation import yaw_angle, yaw_rotation
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.scenes.procedural import make_scene, ray_depth, render_directions
 from tests.worlds import scenes
@@ -160,14 +160,8 @@ def test_there_is_no_sample_after_the_last(rig: CameraRig) -> None:
 def test_rotated_vertices_are_the_vertices(level: int, steps: int) -> None:
     """Turning the world by R moves vertex w's value to the vertex at R w: rotated positions, read there, match."""
     vertices = Icosphere(level, dtype=torch.float64).vertices
-    turned = vertices @ _turn(steps).T
+    turned = vertices @ yaw_rotation(yaw_angle(torch.tensor(steps), 5)).T
     torch.testing.assert_close(rotate_fivefold(turned.T, steps).T, vertices, rtol=0, atol=1e-12)
-
-
-def _turn(steps: int) -> Tensor:
-    angle = 2 * math.pi * steps / 5
-    sin, cos = math.sin(angle), math.cos(angle)
-    return torch.tensor([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]], dtype=torch.float64)
 
 
 def test_random_rotation_follows_its_generator(rig: CameraRig) -> None:

@@ -82,7 +82,8 @@ def test_making_a_scene_leaves_the_global_generator_alone(kind: str) -> None:
 @pytest.mark.parametrize("seed", range(6))
 def test_scenes_keep_clear_of_the_rig_fill_the_hypotheses_and_are_closed(kind: str, seed: int) -> None:
     scene = make_scene(kind, seed)
-    depth = ray_depth(scene, ORIGIN, EquirectangularCamera((64, 128)).unproject(_pixels(64, 128)).directions)
+    camera = EquirectangularCamera((64, 128))
+    depth = ray_depth(scene, ORIGIN, camera.unproject(camera.pixel_grid()).directions)
     assert depth.min() >= 0.6 - 1e-4
     open_kinds = ("outdoors", "skies", "patchwork", "rough", "terrain", "ruins", "plain")
     least = 0.5 if kind in open_kinds else 0.7 if kind in ("glazed", "lit") else 0.95
@@ -102,29 +103,6 @@ def test_pictures_are_neither_dark_nor_washed_out(kind: str) -> None:
     assert ((pictures.mean((1, 2)) > 0.25) & (pictures.mean((1, 2)) < 0.7)).all()
     assert (pictures.std(-1).mean(-1) > 0.05).all()
     assert (pictures.amin(1) == 1).float().mean() < 0.1
-
-
-def _pixels(height: int, width: int) -> Tensor:
-    down, across = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
-    return torch.stack([across, down], -1).float()
-
-
-def test_two_camera_models_see_the_same_along_one_ray() -> None:
-    """Pixels of a fisheye, looked up as rays and as an equirectangular picture of the same place."""
-    scene = make_scene("room", 5)
-    # Without textures' level of detail, that depends on the pixel's size.
-    materials = replace(scene.materials, dark=scene.materials.bright)
-    scene = replace(scene, materials=materials)
-    fisheye = FisheyeCamera.from_field_of_view((48, 48), math.radians(200))
-    picture = render_camera(scene, fisheye, torch.eye(4))
-    seen = fisheye.unproject(_pixels(48, 48))
-    along = render_directions(scene, ORIGIN, seen.directions[seen.valid])
-    torch.testing.assert_close(picture[:, seen.valid], along, rtol=1e-4, atol=1e-4)
-    panorama = EquirectangularCamera((256, 512))
-    wide = render_camera(scene, panorama, torch.eye(4))
-    values, valid = panorama.sample(wide[None], seen.directions[seen.valid][None])
-    assert valid.all()
-    assert (values[0] - along).abs().median() < 0.01
 
 
 def test_pixels_that_the_camera_does_not_see_are_black() -> None:
@@ -340,7 +318,7 @@ def test_a_pixel_is_the_mean_of_the_light_of_samples_that_the_camera_sees() -> N
     camera = FisheyeCamera.from_field_of_view((24, 24), math.radians(100))
     total, count = torch.zeros(3, 24, 24), torch.zeros(24, 24)
     for offset in _stratified(4):
-        rays, seen = camera.unproject(_pixels(24, 24) + offset)
+        rays, seen = camera.unproject(camera.pixel_grid() + offset)
         light = linear(render_directions(scene, ORIGIN, rays, spread=_spread(rays) / 2))
         total, count = total + light * seen, count + seen
     assert ((count > 0) & (count < 4)).any()
@@ -351,7 +329,7 @@ def test_a_pixel_is_the_mean_of_the_light_of_samples_that_the_camera_sees() -> N
 def test_pixels_of_a_panorama_are_at_most_twice_as_coarse_as_they_are_narrow() -> None:
     """Near a pole a pixel is narrow: textures are not averaged over its height."""
     camera = EquirectangularCamera((32, 64))
-    rays = camera.unproject(_pixels(32, 64)).directions
+    rays = camera.unproject(camera.pixel_grid()).directions
     height = math.pi / 32
     narrow = height * rays[:, 0, [0, 2]].norm(dim=-1)
     expected = torch.full_like(narrow, height).minimum(2 * narrow)[:, None].expand(32, 64)

@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.cameras import EquirectangularCamera, FisheyeCamera
+from sphericalvision.cameras import Camera, EquirectangularCamera, FisheyeCamera
 from sphericalvision.scenes.procedural import make_scene, ray_depth, render_camera, render_directions
 from sphericalvision.scenes.registry import scene_kinds
 from sphericalvision.scenes.rendering.primitives import SHAPES, Part, Primitives, pack
@@ -55,10 +55,8 @@ def dense(primitives: Primitives, origins: Tensor, directions: Tensor) -> Tensor
     return torch.stack(distances)
 
 
-def rays(camera: FisheyeCamera | EquirectangularCamera) -> Tensor:
-    height, width = camera.image_size
-    down, across = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
-    seen = camera.unproject(torch.stack([across, down], -1).float())
+def rays(camera: Camera) -> Tensor:
+    seen = camera.unproject(camera.pixel_grid())
     return seen.directions[seen.valid]
 
 
@@ -160,14 +158,20 @@ def test_bundles_that_start_anywhere_meet_what_their_rays_meet(generator: torch.
     assert possible.float().mean() < 0.9
 
 
-@pytest.mark.parametrize("size", [(5, 7), (17, 33), (32, 48)])
-def test_pictures_whose_sides_are_no_multiples_of_a_bundle(size: tuple[int, int]) -> None:
+@pytest.mark.parametrize(
+    "camera",
+    [
+        *map(EquirectangularCamera, [(5, 7), (17, 33), (32, 48)]),
+        FisheyeCamera.from_field_of_view((48, 48), 3.5),
+    ],
+    ids=repr,
+)
+def test_pictures_are_what_their_rays_see_whatever_the_camera_and_its_size(camera: Camera) -> None:
     scene = make_scene("room", 5)
     # Without textures, that depend on the pixels' size.
     scene = replace(scene, materials=replace(scene.materials, dark=scene.materials.bright))
-    camera = EquirectangularCamera(size)
-    picture = render_camera(scene, camera, torch.eye(4))
-    alone = render_directions(scene, ORIGIN, rays(camera)).view(3, *size)
+    picture = render_camera(scene, camera, torch.eye(4))[:, camera.unproject(camera.pixel_grid()).valid]
+    alone = render_directions(scene, ORIGIN, rays(camera))
     assert ((picture - alone).abs().amax(0) < 1e-3).float().mean() > 0.99
 
 

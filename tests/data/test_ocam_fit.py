@@ -53,19 +53,6 @@ def test_the_fit_images_alike_both_ways(name: str, generator: torch.Generator) -
     assert again.max() <= 1.5 * residual + 1e-6
 
 
-def test_an_equidistant_lens_has_the_polynomial_known_by_hand() -> None:
-    """rho = f * (theta + pi / 2), theta from the image plane."""
-    camera = FisheyeCamera.from_field_of_view((800, 768), math.radians(220)).to(torch.float64)
-    focal = float(camera.focal_length.flatten()[0])
-    ocam = ocam_from_camera(camera)
-    theta = torch.linspace(-math.pi / 2, math.radians(20), 200, dtype=torch.float64)
-    powers = theta[:, None] ** torch.arange(len(ocam.inverse_polynomial))
-    rho = powers @ ocam.inverse_polynomial
-    torch.testing.assert_close(rho, focal * (theta + math.pi / 2), rtol=0, atol=1e-3)
-    assert ocam.polynomial[0].item() == pytest.approx(-focal, rel=1e-3)
-    assert ocam.polynomial[1].item() == 0
-
-
 def test_complete_ocam_cameras_pass_and_incomplete_ones_are_completed() -> None:
     complete = ocam_from_camera(cameras()["equidistant"])
     assert ocam_from_camera(complete) is complete

@@ -142,12 +142,6 @@ def test_golden_vertices_faces_and_charts(golden: Path) -> None:
             assert np.array_equal(order[1:-1].view(5, 2 * n, n), unfold[f"drop_ne{level}"])
 
 
-def test_solid_angles_integrate_smooth_functions() -> None:
-    ico = Icosphere(5, dtype=torch.float64)
-    y_squared = (ico.vertices[:, 1].square() * ico.solid_angles).sum()
-    assert y_squared.item() == pytest.approx(4 * np.pi / 3, rel=1e-3)
-
-
 def test_tables_are_not_saved_and_follow_the_dtype() -> None:
     ico = Icosphere(2)
     assert ico.state_dict() == {}

@@ -36,6 +36,7 @@ VALUES = torch.zeros(1, 3, 162)
 IMAGES, SEEN = torch.zeros(1, 4, 3, 642), torch.ones(4, 642, dtype=torch.bool)
 VIEWS = torch.zeros(1, 4, 3, 24, 24)
 LABELS = torch.zeros(1, 162, dtype=torch.long)
+BOARD = torch.tensor([[x, y, 0.0] for y in (0.0, 1.0) for x in (0.0, 1.0, 2.0)])
 
 
 @functools.cache
@@ -728,6 +729,41 @@ align_rig_direct(rig(), blank(), DIRECTIONS, torch.ones(2, 1)) -> images['cam1']
 align_rig_direct(rig(), blank(), DIRECTIONS, torch.ones(1), iterations=0) -> iterations: Argument
 align_rig_direct(rig(), blank(), DIRECTIONS[None], torch.ones(1)) -> directions: Shape
 align_rig_direct(at_once(), blank(), DIRECTIONS, torch.ones(1)) -> rig: Argument
+sees(blank()).camera('cam9') -> camera: Argument
+sees(blank()).camera('cam2', torch.eye(4)) -> world_from_camera: Argument
+sees(blank()).camera(camera(), 1000 * torch.eye(4)) -> world_from_camera: Argument
+sees(blank()).camera(camera(), torch.eye(4)[:3]) -> world_from_camera: Shape
+# capture: hints
+Hint.of_points(torch.zeros(5, 3)) -> hint: Argument
+Hint.of_points(torch.full((5, 3), NAN)) -> hint: Argument
+Hint.of_points(torch.zeros(0, 3)) -> hint: Argument
+Hint.of_directions(torch.zeros(5, 3), torch.ones(5)) -> hint: Argument
+Hint.of_views(Views(pictures(torch.zeros(1, 24, 24)), rig())) -> hint: Argument
+Hint.of_views(Views(pictures(torch.zeros(1, 24, 24)), rig()), fit='affine') -> hint: Argument
+Hint.of_views(Views(pictures(-torch.ones(1, 24, 24)), rig())) -> hint: Argument
+Hint.of_views(Views(blank(), rig())) -> views: Shape
+Hint.of_views(torch.ones(4, 1, 5, 5)) -> views: ArgumentType
+Hint.of_points(torch.ones(5, 3), 3.0) -> weight: Argument
+Hint.of_points(torch.ones(5, 2)) -> points: Shape
+Hint.of_points(INTEGERS) -> points: Argument
+Hint.of_points(torch.ones(5, 3), fit='affine') -> fit: Argument
+Hint.of_directions(torch.ones(5, 3), torch.ones(4)) -> inverse_depth: Shape
+Hint.of_directions(torch.ones(8, 2, 3), torch.ones(8, 2), torch.ones(2, 8)) -> weight: Shape
+Hint.of_directions(torch.ones(8, 2, 3), torch.ones(8, 2), np.ones((8, 2))) -> weight: ArgumentType
+Hint.of_directions(POINTS, torch.ones(5)) -> directions: ArgumentType
+Hint.of_directions(torch.ones(5, 3), POINTS) -> inverse_depth: ArgumentType
+Hint.of_depth(torch.ones(5), torch.eye(4)) -> depth: ArgumentType
+Hint.of_depth(sees(blank()), torch.eye(3)) -> pose: Shape
+Hint.of_depth(sees(blank()), 2 * torch.eye(4)) -> pose: Argument
+Hint.of_depth(sees(blank()), torch.eye(4).roll(1)) -> pose: Argument
+predictor()(blank(), POINTS) -> hint: Argument
+# capture: boards
+refine(camera(), BOARD, torch.ones(2, 6, 2), fixed=('f',)) -> fixed: Argument
+refine(camera(), BOARD[:5], torch.ones(2, 5, 2)) -> pixels: Argument
+refine(camera(), BOARD, torch.ones(2, 5, 2)) -> pixels: Shape
+refine(EquirectangularCamera((100, 200)), BOARD, torch.ones(2, 6, 2)) -> camera: Argument
+refine_rig(rig(), BOARD, torch.ones(2, 4, 6, 2), intrinsics=('omega',)) -> intrinsics: Argument
+refine_rig(rig(), BOARD, torch.ones(2, 3, 6, 2)) -> pixels: Shape
 """
 """The call -> the argument that the message begins with: the type of the error, ``ArgumentError`` or another."""
 

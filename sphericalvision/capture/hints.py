@@ -21,13 +21,13 @@ from sphericalvision.core import (
     ArgumentError,
     ShapeError,
     check_choice,
-    check_floating,
     check_tensor,
     check_type,
 )
 from sphericalvision.geometry.surfaces import distance_along
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models.candidate_refinement import ring_around
+from sphericalvision.shapes import check_shapes
 from sphericalvision.sweep import DepthHint, index_from_inverse_depth
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ class Hint:
         check_choice("fit", self.fit, FITS)
         if not any(len(view.values) and bool((view.values != 0).any()) for view in self.views):
             raise ArgumentError(
-                "hint: nothing is known in it, all depths are 0, infinite or NaN, or have the weight 0; leave it out"
+                "hint: it has no valid depth: all values are 0, infinite or NaN, or have the weight 0; leave it out"
             )
         for view in self.views:
             below = 0 if self.fit == "affine" else int((view.values < 0).sum())
@@ -113,6 +113,7 @@ class Hint:
                 )
 
     @classmethod
+    @check_shapes
     def of_points(
         cls,
         points: Float[Tensor, "P 3"],
@@ -124,15 +125,12 @@ class Hint:
         Those that are not finite are left out. In ``"scale"`` they are counted from the rig's centre.
         """
         check_choice("fit", fit, ("metres", "scale"))
-        check_tensor("points", points, "(P, 3)")
-        if points.ndim != 2 or points.shape[-1] != 3:
-            raise ShapeError(f"points: expected shape (P, 3), got {tuple(points.shape)}")
-        check_floating("points", points)
         origin = None if fit == "scale" else points.new_zeros(3)
         distance = points.norm(dim=-1)
         return cls([_view(origin, points, 1 / distance, None, weight, distance > 0)], fit)
 
     @classmethod
+    @check_shapes
     def of_directions(
         cls,
         directions: Float[Tensor, "*shape 3"],
@@ -144,14 +142,6 @@ class Hint:
 
         A panorama is ``of_directions(Equirectangular(h, 2 * h).directions, 1 / depth)``. NaN is unknown.
         """
-        check_tensor("directions", directions, "(*, 3)")
-        check_tensor("inverse_depth", inverse_depth, "(*)")
-        if directions.shape != (*inverse_depth.shape, 3):
-            raise ShapeError(
-                f"directions: expected shape {(*inverse_depth.shape, 3)}, a direction for each inverse depth, got "
-                f"{tuple(directions.shape)}"
-            )
-        weight = _weights(weight, inverse_depth).flatten()
         return cls([_view(None, directions.reshape(-1, 3), inverse_depth.flatten(), None, weight)], fit)
 
     @classmethod
@@ -394,7 +384,10 @@ def _view(
 ) -> HintView:
     """A view of those rays whose value is known and that count."""
     rays, values = rays.detach().float(), values.detach().float()
-    weights = _weights(weight, values)
+    if not isinstance(weight, Real):
+        check_tensor("weight", weight, "a number, or one for each value")
+        weight = weight.flatten()
+    weights = torch.as_tensor(weight, dtype=torch.float32, device=values.device).expand(values.shape)
     if bool(((weights < 0) | (weights > 1)).any()):
         raise ArgumentError(
             f"weight: expected 0 to 1, got {weights.min().item():g} to {weights.max().item():g}"
@@ -404,18 +397,6 @@ def _view(
         valid &= usable
     factor = torch.ones_like(values) if factor is None else factor
     return HintView(start, F.normalize(rays[valid], dim=-1), values[valid], factor[valid], weights[valid])
-
-
-def _weights(weight: float | Tensor, values: Tensor) -> Tensor:
-    """A number for all values, or one for each, of their shape."""
-    if not isinstance(weight, Real):
-        check_tensor("weight", weight, str(tuple(values.shape)))
-    weights = torch.as_tensor(weight, dtype=torch.float32, device=values.device)
-    if weights.ndim and weights.shape != values.shape:
-        raise ShapeError(
-            f"weight: expected a number, or one for each value, {tuple(values.shape)}, got {tuple(weights.shape)}"
-        )
-    return weights.expand(values.shape)
 
 
 def _at_vertices(grid: Icosphere, directions: Tensor, inverse: Tensor, weight: Tensor) -> DepthHint:

@@ -16,12 +16,13 @@ from torch import Tensor
 from sphericalvision.cameras import Camera, CameraRig
 from sphericalvision.cameras.checks import check_rigid
 from sphericalvision.capture.preparation.preparation import Compensation, Correction
-from sphericalvision.core import ArgumentError, ShapeError, check_tensor, check_type
+from sphericalvision.core import ArgumentError, check_type
 from sphericalvision.geometry.lookup import weighted_sums
 from sphericalvision.geometry.surfaces import distance_along
 from sphericalvision.icosphere import Icosphere, locate
 from sphericalvision.kernels import full_precision
 from sphericalvision.models import DepthNetwork
+from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import inverse_depth_from_index
 from sphericalvision.sweep.hypotheses import INVERSE_DEPTH_OFFSET
@@ -182,6 +183,7 @@ class Depth:
         )
 
     @full_precision
+    @check_shapes
     def camera(
         self, camera: str | Camera, world_from_camera: Float[Tensor, "4 4"] | None = None
     ) -> DepthImage:
@@ -211,11 +213,6 @@ class Depth:
         """
         check_type("camera", camera, (str, Camera))
         if world_from_camera is not None:
-            check_tensor("world_from_camera", world_from_camera, "(4, 4)")
-            if tuple(world_from_camera.shape) != (4, 4):
-                raise ShapeError(
-                    f"world_from_camera: expected shape (4, 4), got {tuple(world_from_camera.shape)}"
-                )
             check_rigid("world_from_camera", world_from_camera.detach().double())
         if isinstance(camera, str):
             if world_from_camera is not None:

@@ -21,7 +21,6 @@ from sphericalvision.cameras.models.ocam_polynomials import fit_inverse_polynomi
 from sphericalvision.capture import calibrate_camera, refine, refine_rig
 from sphericalvision.capture.calibrating.board_pose import pose_from_directions
 from sphericalvision.capture.calibrating.refine import _finished
-from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry import angle_from_axis, transform_from_axis_angle, transform_points
 from tests.laws.camera_laws import arguments_of
 from tests.laws.cameras import CAMERAS, CameraCase
@@ -171,23 +170,6 @@ def test_a_camera_from_boards_alone(model: str) -> None:
     found = calibrate_camera(BOARD, pixels, (480, 512), model, seen, field_of_view=field)
     assert found.camera.model == model
     assert found.rms_error < 0.1
-
-
-def test_mistakes_are_named() -> None:
-    camera = KannalaBrandtCamera([190.0, 191.0], [255.0, 257.0], [0.01, 0.0, 0.0, 0.0], (512, 512), 1.6)
-    _, pixels, seen = seen_boards(camera.to(torch.float64))
-    with pytest.raises(
-        ArgumentError, match="fixed: this camera has focal_length, principal_point, distortion, not f"
-    ):
-        refine(camera, BOARD, pixels, seen, fixed=("f",))
-    with pytest.raises(ArgumentError, match="no view has 6 points"):
-        refine(camera, BOARD, pixels, torch.zeros_like(seen))
-    with pytest.raises(ShapeError, match=r"pixels: expected shape \(10, 1, 35, 2\)"):
-        refine(camera, BOARD, pixels[:, :-1], seen[:, :-1])
-    with pytest.raises(ArgumentError, match=r"nothing of Equirect.* is left to refine"):
-        refine(EquirectangularCamera((100, 200)), BOARD, pixels, seen)
-    with pytest.raises(ArgumentError, match="no camera of this rig has omega"):
-        refine_rig(ring_rig(2), BOARD, pixels[:, None].expand(-1, 2, -1, -1), intrinsics=("omega",))
 
 
 def test_two_refinements_keep_the_degree_of_the_inverse_polynomial() -> None:

@@ -26,6 +26,7 @@ from sphericalvision.capture.calibrating.refine import (
 )
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry import angle_from_axis, invert_transform, transform_points
+from sphericalvision.shapes import check_shapes
 
 __all__ = ["calibrate_camera", "calibrate_rig"]
 
@@ -39,6 +40,7 @@ _APART, _PIXELS = 5.0, 1.0
 """Times the error of a camera alone, and pixels, above which it contradicts the others."""
 
 
+@check_shapes
 def calibrate_camera(
     points: Float[Tensor, "m 3"],
     pixels: Float[Tensor, "n m 2"],
@@ -96,6 +98,7 @@ def calibrate_camera(
     return refine(start, points, pixels, seen)
 
 
+@check_shapes
 def calibrate_rig(
     points: Float[Tensor, "m 3"],
     pixels: Float[Tensor, "n cameras m 2"],
@@ -150,7 +153,7 @@ def calibrate_rig(
         (['front', 'back'], True)
     """
     names = list(image_sizes)
-    if pixels.ndim != 4 or pixels.shape[1] != len(names):
+    if pixels.shape[1] != len(names):
         raise ShapeError(f"pixels: expected (n, {len(names)}, m, 2), got {tuple(pixels.shape)}")
     seen = torch.ones(pixels.shape[:-1], dtype=torch.bool) if seen is None else seen
     counts = seen.sum(-1)

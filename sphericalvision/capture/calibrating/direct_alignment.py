@@ -28,6 +28,7 @@ from sphericalvision.cameras.rig import CameraRig, check_images_of
 from sphericalvision.capture.calibrating.turns import rightness, rotations, turned
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import icosphere_vertices
+from sphericalvision.shapes import check_shapes
 
 __all__ = ["DirectAlignment", "align_rig_direct"]
 
@@ -57,6 +58,7 @@ class DirectAlignment(NamedTuple):
     """0 to 1, of all pairs of cameras in all directions, before and after."""
 
 
+@check_shapes
 def align_rig_direct(
     rig: CameraRig,
     images: Mapping[str, Float[Tensor, "*frames c _ _"]],
@@ -122,7 +124,14 @@ def align_rig_direct(
     for name, value in (("pixel", pixel), ("blur", blur), ("iterations", iterations), ("expected", expected)):
         if not value > 0:
             raise ArgumentError(f"{name}: expected more than 0, got {value!r}")
-    frames = _check(rig, images, directions, inverse_depth, weights)
+    if len(rig) < 2:
+        raise ArgumentError("rig: expected two or more cameras that see the same things, got one")
+    check_images_of(rig, images)
+    frames = inverse_depth.shape[:-1]
+    for name, image in images.items():
+        if image.shape[:-3] != frames:
+            expected = ", ".join(map(str, (*frames, "c", *image.shape[-2:])))
+            raise ShapeError(f"images[{name!r}]: expected shape ({expected}), got {tuple(image.shape)}")
     device = rig.world_from_camera.device
     directions = directions.to(device, torch.float32)
     count = math.prod(frames)
@@ -307,34 +316,3 @@ def _tangents(rays: Tensor) -> Tensor:
     axis.scatter_(-1, rays.abs().argmin(-1, keepdim=True), 1.0)
     first = F.normalize(torch.linalg.cross(axis, rays, dim=-1), dim=-1)
     return torch.stack((first, torch.linalg.cross(rays, first, dim=-1)), 1)
-
-
-def _check(
-    rig: CameraRig,
-    images: Mapping[str, Tensor],
-    directions: Tensor,
-    inverse_depth: Tensor,
-    weights: Tensor | None,
-) -> tuple[int, ...]:
-    """The frames' dimensions."""
-    if len(rig) < 2:
-        raise ArgumentError("rig: expected two or more cameras that see the same things, got one")
-    check_images_of(rig, images)
-    if directions.ndim != 2 or directions.shape[-1] != 3:
-        raise ShapeError(f"directions: expected shape (V, 3), got {tuple(directions.shape)}")
-    number = len(directions)
-    if inverse_depth.ndim not in (1, 2) or inverse_depth.shape[-1] != number:
-        raise ShapeError(f"inverse_depth: expected shape ([F,] {number}), got {tuple(inverse_depth.shape)}")
-    if weights is not None and weights.shape != inverse_depth.shape:
-        raise ShapeError(
-            f"weights: expected shape {tuple(inverse_depth.shape)}, as inverse_depth, got {tuple(weights.shape)}"
-        )
-    frames = tuple(inverse_depth.shape[:-1])
-    for name, image in images.items():
-        if tuple(image.shape[:-3]) != frames:
-            before = "".join(f"{frame}, " for frame in frames)
-            height, width = image.shape[-2:]
-            raise ShapeError(
-                f"images[{name!r}]: expected shape ({before}c, {height}, {width}), got {tuple(image.shape)}"
-            )
-    return frames

@@ -25,6 +25,7 @@ from sphericalvision.capture.calibrating.turns import rotations
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry import invert_transform, transform_points
 from sphericalvision.geometry.least_squares import solve_least_squares
+from sphericalvision.shapes import check_shapes
 
 __all__ = ["FEWEST", "RefinedCamera", "RefinedRig", "refinable_intrinsics", "refine", "refine_rig"]
 
@@ -56,6 +57,7 @@ class RefinedRig(NamedTuple):
     """Root mean square distance in pixels over all points seen."""
 
 
+@check_shapes
 def refine(
     camera: Camera,
     points: Float[Tensor, "m 3"],
@@ -98,10 +100,6 @@ def refine(
     """
     check_single(camera)
     names = _free_names(_started(camera), fixed)
-    if pixels.ndim != 3:
-        raise ShapeError(
-            f"pixels: expected (n, m, 2), a row of pixels for each view, got {tuple(pixels.shape)}"
-        )
     rig = CameraRig([camera], torch.eye(4).to(camera.max_angle)[None])
     seen = None if seen is None else seen[:, None]
     bundle = _Bundle(rig, points, pixels[:, None], seen, [names])
@@ -111,6 +109,7 @@ def refine(
     return RefinedCamera(_finished(refined, camera), world_from_points, residuals, rms)
 
 
+@check_shapes
 def refine_rig(
     rig: CameraRig,
     points: Float[Tensor, "m 3"],
@@ -161,6 +160,10 @@ def refine_rig(
     unknown = set(intrinsics) - {name for camera in names for name in camera}
     if unknown:
         raise ArgumentError(f"intrinsics: no camera of this rig has {', '.join(sorted(unknown))}")
+    if pixels.shape[1] != len(rig):
+        raise ShapeError(
+            f"pixels: expected those of {len(rig)} cameras (n, {len(rig)}, m, 2), got {tuple(pixels.shape)}"
+        )
     bundle = _Bundle(rig, points, pixels, seen, names)
     vector, rms = bundle.solve()
     refined_cameras, poses, world_from_points = bundle.parts(vector)
@@ -229,16 +232,9 @@ class _Bundle:
         self.cameras = [_started(camera) for camera in rig.cameras.values()]
         self.points = points.detach().to("cpu", torch.float64)
         self.pixels = pixels.detach().to("cpu", torch.float64)
-        expected = (pixels.shape[0], len(rig), len(points), 2)
-        if tuple(pixels.shape) != expected or points.shape[-1] != 3:
-            raise ShapeError(
-                f"pixels: expected shape {expected} for {len(rig)} cameras and {len(points)} points (m, 3), got "
-                f"{tuple(pixels.shape)} and points {tuple(points.shape)}"
-            )
-        visible = torch.ones(expected[:-1], dtype=torch.bool) if seen is None else seen.cpu().clone()
-        if visible.shape != expected[:-1]:
-            raise ShapeError(f"seen: expected shape {expected[:-1]}, got {tuple(visible.shape)}")
-        visible = visible & self.pixels.isfinite().all(-1)
+        visible = self.pixels.isfinite().all(-1)
+        if seen is not None:
+            visible &= seen.cpu()
         self.seen = visible & (visible.sum(-1, keepdim=True) >= FEWEST)
         self.free = free
         self.camera_from_world = rig.camera_from_world.detach().to("cpu", torch.float64)

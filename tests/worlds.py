@@ -7,10 +7,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import torch
 import yaml
+from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
+from sphericalvision.capture import Depth
 from sphericalvision.data import SampleView
+from sphericalvision.models import WinnerTakesAll
 from sphericalvision.scenes import World, WorldSamples
 from sphericalvision.scenes.random_rigs import LevelOrRandomRigs
 from sphericalvision.scenes.samples import recorded_sample
@@ -22,6 +26,21 @@ RANDOM_RIGS: dict[str, Any] = yaml.safe_load(
 
 
 SMALL = SampleView(3, 1)
+
+
+def ball(
+    rig: CameraRig,
+    level: int = 4,
+    min_depth: float = 1.0,
+    confidence: float = 1.0,
+    images: Mapping[str, Tensor] | None = None,
+) -> Depth:
+    """Depth of twice the nearest hypothesis all around a rig, with images of noise."""
+    net = WinnerTakesAll(level, 8, min_depth, depth_coarsening=0)
+    ones = torch.ones(net.grid.num_vertices)
+    if images is None:
+        images = {name: torch.rand(3, *camera.image_size) for name, camera in rig.cameras.items()}
+    return Depth(3.5 * ones, confidence * ones, ones > 0, net, rig, images)
 
 
 def scenes(

@@ -59,15 +59,9 @@ def test_large_images_are_sampled(clean: dict[str, Tensor]) -> None:
     assert noise_of(noisy({"a": large}, 0.02)["a"]) == pytest.approx(0.02, rel=0.1)
 
 
-def test_smoothing_brings_images_back(clean: dict[str, Tensor]) -> None:
-    for name, image in noisy(clean, 0.03).items():
-        before, after = ((each - clean[name]).square().mean().sqrt() for each in (image, denoised(image)))
-        assert after < 0.6 * before
-
-
-@pytest.mark.parametrize("shrink", [2, 3])
+@pytest.mark.parametrize(("shrink", "least"), [(1, 0.36), (2, 0.7), (3, 0.7)])
 def test_means_that_are_looked_up_are_smoothed_and_nothing_else(
-    clean: dict[str, Tensor], shrink: int
+    clean: dict[str, Tensor], shrink: int, least: float
 ) -> None:
     """The means over squares come nearer to the truth; within a square differences stay, and masked pixels."""
 
@@ -79,14 +73,14 @@ def test_means_that_are_looked_up_are_smoothed_and_nothing_else(
     for name, image in noisy(clean, 0.05).items():
         smooth = denoised(image, shrink=shrink)
         before, after = ((means(each) - means(clean[name])).square().mean() for each in (image, smooth))
-        assert after < 0.7 * before
+        assert after < least * before
         change = (smooth - image)[:, : 128 // shrink * shrink, : 128 // shrink * shrink]
         squares = change.unfold(1, shrink, shrink).unfold(2, shrink, shrink)
         torch.testing.assert_close(squares, squares[..., :1, :1].expand_as(squares), rtol=0, atol=1e-6)
         other = image.where(usable, torch.rand(image.shape, generator=torch.Generator().manual_seed(1)))
         part = [denoised(each, usable, shrink)[:, :70] for each in (image, other)]
         torch.testing.assert_close(*part, rtol=0, atol=1e-3)
-        assert noise_of(other, usable) > LEAST_NOISE
+        assert LEAST_NOISE < noise_of(other, usable) == noise_of(image, usable) != noise_of(other)
     assert denoised(clean["cam1"], shrink=shrink).equal(clean["cam1"])
 
 
@@ -118,17 +112,6 @@ def test_grey_images_of_one_channel(clean: dict[str, Tensor]) -> None:
     grey = noisy(clean, 0.03)["cam1"].mean(0, keepdim=True)
     assert denoised(grey).shape == grey.shape
     assert noise_of(denoised(grey)) < 0.5 * noise_of(grey)
-
-
-def test_masked_pixels_have_no_influence(clean: dict[str, Tensor]) -> None:
-    image, usable = noisy(clean, 0.03)["cam1"], torch.ones(128, 128, dtype=torch.bool)
-    usable[70:] = False
-    other = image.where(usable, torch.rand(image.shape, generator=torch.Generator().manual_seed(1)))
-    torch.testing.assert_close(
-        denoised(image, usable)[:, :70], denoised(other, usable)[:, :70], rtol=0, atol=1e-3
-    )
-    assert noise_of(image, usable) == noise_of(other, usable)
-    assert noise_of(image) != noise_of(other)
 
 
 def test_predictor_smooths_what_it_says(rig: CameraRig, clean: dict[str, Tensor]) -> None:

@@ -21,7 +21,7 @@ from sphericalvision.cameras import (
     save_rig,
 )
 from sphericalvision.cameras.calibration.save import rig_formats
-from sphericalvision.capture import Depth, Predictor
+from sphericalvision.capture import Predictor
 from sphericalvision.capture.export import RigProgram, description
 from sphericalvision.capture.fusing import FusedCloud
 from sphericalvision.capture.outputs import Outputs
@@ -29,8 +29,8 @@ from sphericalvision.capture.points import SurfacePoints
 from sphericalvision.capture.result import DepthImage
 from sphericalvision.capture.result_folder import Settings
 from sphericalvision.geometry import transform_from_axis_angle
-from sphericalvision.models import WinnerTakesAll
 from sphericalvision.sphere import Equirectangular
+from tests.worlds import ball
 
 DOUBLE = torch.float64
 PLACES = {
@@ -167,13 +167,10 @@ def test_cubes_grow_until_a_way_fits(tmp_path: Path) -> None:
 
 @far
 def test_what_is_written_is_in_the_far_world(place: str, tmp_path: Path) -> None:
-    net = WinnerTakesAll(3, 8, depth_coarsening=0)
     rig = CameraRig(ring_rig(3, image_size=(16, 16)).to(DOUBLE).cameras, moved(way(3), place)).to(
         torch.float32
     )
-    images = {name: torch.rand(3, 16, 16) for name in rig.names}
-    ones = torch.ones(642)
-    depth = Depth(3.5 * ones, ones, ones > 0, net, rig, images)
+    depth = ball(rig, level=3, min_depth=0.55)
     outputs = Outputs(tmp_path, Settings(["cloud", "glb", "npz", "fused"], height=32))
     outputs.write("frame", depth)
     outputs.close()

@@ -6,11 +6,11 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
 import pytest
-import torch
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Depth
@@ -18,7 +18,7 @@ from sphericalvision.capture.outputs import Outputs
 from sphericalvision.capture.result_folder import Settings
 from sphericalvision.capture.writers import OUTPUTS
 from sphericalvision.core import FileFormatError
-from sphericalvision.models import WinnerTakesAll
+from tests.worlds import ball
 
 FRAMES = ["7", 'a, "b"', "9"]
 SEQUENCES = {
@@ -42,15 +42,9 @@ FILES = {
 """Output -> a file without which the third frame is not done."""
 
 
-def depth_of(names: list[str] | None = None) -> Depth:
-    """Depth of 2 m all around."""
+def depth_of(names: Sequence[str] = ("cam1", "cam2", "cam3")) -> Depth:
     rig = ring_rig(3, image_size=(16, 16))
-    if names is not None:
-        rig = CameraRig(dict(zip(names, rig.cameras.values(), strict=True)), rig.world_from_camera)
-    net = WinnerTakesAll(4, 8, min_depth=1.0, depth_coarsening=0)
-    ones = torch.ones(net.grid.num_vertices)
-    images = {name: torch.rand(3, *camera.image_size) for name, camera in rig.cameras.items()}
-    return Depth(3.5 * ones, torch.linspace(0, 1, len(ones)), ones > 0, net, rig, images)
+    return ball(CameraRig(dict(zip(names, rig.cameras.values(), strict=True)), rig.world_from_camera))
 
 
 def outputs_of(folder: Path, *names: str, go_on: bool = True, posed: bool = False) -> Outputs:

@@ -10,13 +10,12 @@ import pytest
 import torch
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.capture import Depth
 from sphericalvision.capture.points import grid_faces, grid_mesh, hangs_between, surface_normals
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.surfaces import distance_along
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.models import WinnerTakesAll
 from sphericalvision.sphere import Equirectangular
+from tests.worlds import ball
 
 GRIDS = {"icosphere": Icosphere(5), "panorama": Equirectangular(64, 128)}
 
@@ -80,19 +79,12 @@ def test_a_mesh_is_the_surface_cut_where_it_jumps(name: str) -> None:
     assert half.vertices[:, 0].min() > 0
 
 
-def sphere_around(rig: CameraRig, level: int = 4) -> Depth:
-    net = WinnerTakesAll(level, 8, min_depth=1.0, depth_coarsening=0)
-    ones = torch.ones(net.grid.num_vertices)
-    images = {name: torch.rand(3, *camera.image_size) for name, camera in rig.cameras.items()}
-    return Depth(3.5 * ones, 0.7 * ones, ones > 0, net, rig, images)
-
-
 def test_points_are_the_surface_around_the_rig() -> None:
     rig = ring_rig(3, image_size=(16, 16))
     rig = CameraRig(
         rig.cameras, rig.world_from_camera + torch.nn.functional.pad(torch.ones(3, 1), (3, 0, 0, 1))
     )
-    cloud = sphere_around(rig).points()
+    cloud = ball(rig, confidence=0.7).points()
     relative = cloud.points - rig.center
     torch.testing.assert_close(relative.norm(dim=-1), torch.full((len(relative),), 2.0), rtol=1e-5, atol=0)
     assert ((cloud.normals * relative).sum(-1) < -1.99).all()
@@ -101,19 +93,19 @@ def test_points_are_the_surface_around_the_rig() -> None:
 
 def test_points_are_kept_by_confidence_distance_and_sight() -> None:
     rig = ring_rig(3, image_size=(16, 16))
-    depth = sphere_around(rig)
+    depth = ball(rig, confidence=0.7)
     assert not len(depth.points(min_confidence=0.8).points)
     assert not len(depth.points(max_depth=1.9).points)
     assert len(depth.points(min_confidence=0.6, max_depth=2.1).points) == len(depth.index)
     forward = ring_rig(2, image_size=(16, 16), field_of_view=math.radians(120)).subset([0])
-    points = sphere_around(forward).points().points - forward.center
+    points = ball(forward, confidence=0.7).points().points - forward.center
     assert 0 < len(points) < len(depth.index)
     assert (torch.atan2(points[:, :2].norm(dim=1), points[:, 2]) < math.radians(61)).all()
 
 
 def test_a_voxel_keeps_one_point() -> None:
     rig = ring_rig(3, image_size=(16, 16))
-    depth = sphere_around(rig)
+    depth = ball(rig, confidence=0.7)
     cloud = depth.points(voxel=0.5)
     cubes = (depth.points().points / 0.5).floor().unique(dim=0)
     assert len(cloud.points) == len(cubes) < len(depth.index)

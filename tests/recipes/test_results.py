@@ -11,23 +11,14 @@ import pytest
 import torch
 import trimesh
 
-from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.capture import Depth
+from sphericalvision.cameras import ring_rig
 from sphericalvision.capture.outputs import Outputs, save_frame
 from sphericalvision.capture.panoramas import Panoramas
 from sphericalvision.capture.result_folder import Settings
 from sphericalvision.capture.writers import OUTPUTS
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.images import read_image
-from sphericalvision.models import WinnerTakesAll
-
-
-def ball(rig: CameraRig) -> Depth:
-    """Depth of 2 m all around, said to be measured everywhere."""
-    net = WinnerTakesAll(4, 8, min_depth=1.0, depth_coarsening=0)
-    ones = torch.ones(net.grid.num_vertices)
-    images = {name: torch.rand(3, *camera.image_size) for name, camera in rig.cameras.items()}
-    return Depth(3.5 * ones, torch.linspace(0, 1, len(ones)), ones > 0, net, rig, images)
+from tests.worlds import ball
 
 
 def test_points_that_no_camera_sees_are_not_in_the_cloud(tmp_path: Path) -> None:

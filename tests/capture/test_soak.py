@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 import os
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,8 @@ from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Predictor
 from sphericalvision.capture.outputs import Outputs
 from sphericalvision.capture.result_folder import Settings
-from sphericalvision.capture.sources.frames import Frame, Selection
+from sphericalvision.capture.sources.frames import Frame, Recording, Selection
+from sphericalvision.capture.sources.moments import Moments
 from sphericalvision.models import SemiGlobalSweep
 from sphericalvision.recipes.commands.predict import run
 from sphericalvision.scenes import make_scene, render_rig
@@ -80,27 +82,21 @@ def test_memory_is_flat(rig: CameraRig, scenes: list[Images]) -> None:
     assert torch.equal(predictor(scenes[0]).depth, first)
 
 
-class Recording:
+class Endless(Recording):
     """A source of as many frames as one likes."""
 
-    live, rate = False, 0.0
-
     def __init__(self, rig: CameraRig, scenes: list[Images], number: int, look: Callable[[], Any]) -> None:
-        self.rig, self.scenes, self.number, self.look = rig, scenes, number, look
+        self.look = look
+        super().__init__(Moments({str(n): scenes[n % 3] for n in range(number)}, None, None, "", []), rig)
 
-    def sizes(self) -> dict[str, tuple[int, int]]:
-        return {name: camera.image_size for name, camera in self.rig.cameras.items()}
-
-    def names(self, selection: Selection) -> list[str]:
-        return [str(number) for number in range(self.number)]
-
-    def samples(self) -> list[Frame]:
-        return [Frame("0", self.scenes[0])]
+    @contextmanager
+    def opened(self) -> Iterator[Callable[[str, Any], Any]]:
+        yield lambda camera, image: image
 
     def frames(self, selection: Selection, wanted: Callable[[str], bool]) -> Iterator[Frame]:
-        for number in range(self.number):
+        for frame in super().frames(selection, wanted):
             self.look()
-            yield Frame(str(number), self.scenes[number % 3])
+            yield frame
 
 
 @pytest.mark.slow
@@ -108,7 +104,7 @@ class Recording:
 def test_memory_of_the_stream_is_flat(rig: CameraRig, scenes: list[Images], tmp_path: Path) -> None:
     """Frames are read ahead and written behind in threads; nothing waits for ever, and nothing piles up."""
     watch = Watch()
-    source = Recording(rig, scenes, FRAMES, watch.look)
+    source = Endless(rig, scenes, FRAMES, watch.look)
     outputs = Outputs(tmp_path, Settings([], height=8))
     assert run(source, Selection(), small_predictor(rig), outputs, None) == []
     assert outputs.count == FRAMES
@@ -117,7 +113,7 @@ def test_memory_of_the_stream_is_flat(rig: CameraRig, scenes: list[Images], tmp_
 
 @needs_proc
 def test_a_few_frames_of_the_stream(rig: CameraRig, scenes: list[Images], tmp_path: Path) -> None:
-    source = Recording(rig, scenes, 12, lambda: None)
+    source = Endless(rig, scenes, 12, lambda: None)
     outputs = Outputs(tmp_path, Settings([], height=8))
     assert run(source, Selection(), small_predictor(rig), outputs, None) == []
     assert outputs.count == 12

@@ -29,7 +29,7 @@ def faulty(rig: CameraRig, loss: float = 0.5) -> dict[str, torch.Tensor]:
     images = {}
     for (name, camera), gain in zip(rig.cameras.items(), GAINS, strict=True):
         channels = torch.tensor([gain, 1.0, 1 / gain]).view(3, 1, 1)
-        images[name] = vignetted(torch.full((3, 48, 48), 0.5), camera, loss) * channels
+        images[name] = vignetted(torch.full((3, *camera.image_size), 0.5), camera, loss) * channels
     return images
 
 
@@ -149,15 +149,7 @@ def test_cameras_are_compared_where_they_agree_best(far: float) -> None:
 
 def test_large_images_are_compared_when_reduced(rig: CameraRig) -> None:
     large = rig.resized((480, 480))
-    images = {
-        name: vignetted(torch.full((3, 480, 480), 0.5), camera, 0.5) * gain
-        for (name, camera), gain in zip(large.cameras.items(), GAINS, strict=True)
-    }
-    small = {
-        name: vignetted(torch.full((3, 48, 48), 0.5), camera, 0.5) * gain
-        for (name, camera), gain in zip(rig.cameras.items(), GAINS, strict=True)
-    }
-    found, like = calibrate_photometry(large, images), calibrate_photometry(rig, small)
+    found, like = calibrate_photometry(large, faulty(large)), calibrate_photometry(rig, faulty(rig))
     torch.testing.assert_close(found.exposure, like.exposure, atol=0.01, rtol=0)
     torch.testing.assert_close(found.strength, like.strength, atol=0.02, rtol=0)
 

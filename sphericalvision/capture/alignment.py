@@ -47,7 +47,7 @@ ENOUGH = math.radians(0.6)
 DOUBT = math.radians(0.5)
 """Where turns are known no better, the images are too coarse or too bare for a verdict."""
 AGAIN, ROUNDS = math.radians(0.4), 4
-"""Depth is estimated anew with cameras turned, and cameras turned by that, as long as they still turn by more."""
+"""Depth is estimated again with cameras turned, and cameras turned by that, as long as they still turn by more."""
 LEAST_AGREEMENT = 0.75
 """Of images that show the same, before cameras turn: less is found where they have nothing in common."""
 MOST, MOST_LEFT = math.radians(10), math.radians(1.5)
@@ -178,7 +178,7 @@ def _doubt(verdict: RigTurns, sure: bool, latest: float) -> str:
         )
     farthest = verdict.rig.names[int(verdict.turns.norm(dim=-1).argmax())]
     if _largest(verdict) > MOST or latest > MOST_LEFT:
-        return f"{farthest} seems to be turned by more than can be found; calibrate it anew"
+        return f"{farthest} seems to be turned by more than can be found; calibrate it again"
     if verdict.spread.max() < DOUBT and (sure or verdict.within < ENOUGH):
         return ""
     doubtful = verdict.rig.names[int((verdict.turns.norm(dim=-1) + 2 * verdict.spread).argmax())]

@@ -93,7 +93,8 @@ def hypotheses_warning(depth: Depth) -> str | None:
         return None
     return (
         f"Nothing is nearer than about {nearest:.2f} m: {100 * (1 - depth.min_depth / nearest):.0f} % of the "
-        f"hypotheses are wasted between that and min_depth = {depth.min_depth:.2f} m; min_depth=scene finds better."
+        f"hypotheses are wasted between that and min_depth = {depth.min_depth:.2f} m. Set min_depth=scene to choose it "
+        "from the images."
     )
 
 

@@ -108,7 +108,7 @@ def _views_of_shared_tables(values: dict[Node, Any]) -> set[Node]:
     """Return the constants that stay computations, as what they are computed from is smaller than all of them.
 
     A sweep reads its table of vertices as a whole, and each corner of the triangles by itself: stored one by one these
-    are twice the table. The largest saving is taken first; what is left then counts anew.
+    are twice the table. The largest saving is taken first; the rest is counted again.
     """
     computed: set[Node] = set()
     while True:

@@ -148,7 +148,7 @@ def ahead(items: Iterable[Item], most: int = 3, newest: bool = False) -> Generat
     Args:
         items: iterated in the thread.
         most: items that wait at once; the thread pauses beyond.
-        newest: whether items that nobody has taken make room for newer ones in place of a pause, as of live cameras.
+        newest: whether waiting items make room for newer ones in place of a pause, as of live cameras.
 
     Examples:
         >>> list(ahead(range(5), most=2))

@@ -107,7 +107,7 @@ class Predictor:
         level: icosphere level of the images; by default that of the training, 6 if no weights are given. One level
             less is three times as fast.
         device: where to compute; by default the device of the network, which is the CPU if it was read from weights.
-        preparation: how images are made ready before depth is estimated, ``Preparation()`` when not given: noise is
+        preparation: how images are preprocessed before depth is estimated, ``Preparation()`` when not given: noise is
             smoothed, light compensated. ``align_rig`` finds out whether cameras are turned, from a few frames.
         precision: that the network computes in; geometry, light and noise, and the mean over hypotheses are float32.
             Less is faster on a GPU, and hardly less exact.
@@ -203,7 +203,7 @@ class Predictor:
     def with_changes(self, rig: CameraRig | None = None, *, min_depth: float | None = None) -> Predictor:
         """The same for another rig, such as the next window of a camera that moves, or with other hypotheses.
 
-        The network's weights are shared as long as hypotheses stay as they are; tables are made anew.
+        The network's weights are shared as long as hypotheses stay as they are; tables are computed again.
 
         Args:
             rig: of any number of cameras, if the network takes that; as before when not given.
@@ -299,9 +299,9 @@ class Predictor:
         self, images: Mapping[str, Any]
     ) -> tuple[Float[Tensor, "*batch_and_size"], Bool[Tensor, " n *size"]]:
         """Return images as the network takes them, in [-1, 1], and what of them was seen; arguments as of a call."""
-        photographs = Colors(self._on_device(images))
-        pipeline = self._pipeline_for(photographs)
-        return pipeline.inputs(photographs, self.preparation)[0], pipeline.intake.seen
+        colors = Colors(self._on_device(images))
+        pipeline = self._pipeline_for(colors)
+        return pipeline.inputs(colors, self.preparation)[0], pipeline.intake.seen
 
     def __repr__(self) -> str:
         near = "nearest depth still to be found" if self.min_depth is None else f"from {self.min_depth:.3g} m"
@@ -319,7 +319,7 @@ class Predictor:
         return nullcontext() if room and self.device.type == "cpu" else self._lock
 
     def _on_device(self, images: Mapping[str, Any]) -> dict[str, Tensor]:
-        """Images in the order of the cameras; bytes travel as bytes, one image while the next one is made ready."""
+        """Images in the order of the cameras; bytes travel as bytes, one image while the next one is preprocessed."""
         ordered = ordered_images(images, self.rig)
         if (
             self.device.type == "cuda"
@@ -349,15 +349,15 @@ class Predictor:
         self.min_depth = metres
         self._network = with_own(self._network, False, min_depth=metres)
 
-    def _pipeline_for(self, photographs: Mapping[str, Tensor] | None) -> Pipeline:
+    def _pipeline_for(self, colors: Mapping[str, Tensor] | None) -> Pipeline:
         """What is made once, by the first call, which may have to look at its images; others wait for it."""
         pipeline = self._pipeline
         if pipeline is not None:
             return pipeline
         with self._lock:
             if self._pipeline is None:
-                if self.min_depth is None and photographs is not None:
-                    self._begin_at(self._nearest.in_frames(frames_of(photographs), self.rig))
+                if self.min_depth is None and colors is not None:
+                    self._begin_at(self._nearest.in_frames(frames_of(colors), self.rig))
                 self._pipeline = Pipeline(self._network, self.rig, self._precision)
             return self._pipeline
 

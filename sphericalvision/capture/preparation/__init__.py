@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a capture is made ready: own body, noise, light, orientations, nearest depth."""
+"""Preprocessing of a capture: own body, noise, light, orientations, nearest depth."""

@@ -143,13 +143,13 @@ def check_places(rig: CameraRig) -> None:
     )
 
 
-def frames_of(photographs: Mapping[str, Tensor]) -> list[dict[str, Tensor]]:
+def frames_of(images: Mapping[str, Tensor]) -> list[dict[str, Tensor]]:
     """One dictionary a frame of images ``(*b, 3, h, w)``: the first, the middle and the last of a batch."""
-    first = next(iter(photographs.values()))
+    first = next(iter(images.values()))
     if first.ndim == 3:
-        return [dict(photographs)]
+        return [dict(images)]
     chosen = sorted({0, len(first) // 2, len(first) - 1})
-    return [{name: image[frame] for name, image in photographs.items()} for frame in chosen]
+    return [{name: image[frame] for name, image in images.items()} for frame in chosen]
 
 
 def checked_min_depth(min_depth: Any) -> float:

@@ -349,7 +349,7 @@ class _Points:
         Returns exposure ``(1 + parts, n, c)`` and falloff ``(1 + parts, n, 2)``, of all points and then without each
         part of the sphere in turn; which parts tell anything; and the residual.
 
-        By weighted least squares, weighted anew each round; without a part with the weights that all points ended with.
+        By weighted least squares, with new weights each round; without a part with the last weights of all points.
         """
         number, channels = len(images), images[0].shape[1]
         stacked = [look(frames) for look, frames in zip(self.lookups, images, strict=True)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``Preparation``: how a capture is made ready before depth is estimated, as one value.
+"""``Preparation``: how a capture is preprocessed before depth is estimated, as one value.
 
 What cameras did to their images is taken out: noise, exposure, vignetting.
 """
@@ -62,7 +62,7 @@ MOST_SAMPLES = 50_000
 
 @dataclass(frozen=True)
 class Preparation:
-    """How a capture is made ready before depth is estimated.
+    """How a capture is preprocessed before depth is estimated.
 
     Attributes:
         photometric: whether noise of more than 1 % is smoothed, and differences in exposure and vignetting between the
@@ -98,7 +98,7 @@ class Preparation:
     def images(
         self, rig: CameraRig, images: Mapping[str, Float[Tensor, "*batch c _ _"]]
     ) -> dict[str, Float[Tensor, "*batch c _ _"]]:
-        """Return the images of a frame, camera name -> ``(*b, c, h, w)`` in [0, 1], made ready."""
+        """Return the images of a frame, camera name -> ``(*b, c, h, w)`` in [0, 1], preprocessed."""
         return dict(images) if self.of_images is None else self.of_images(rig, images)
 
 

@@ -85,7 +85,7 @@ class Source(Protocol):
     labels: dict[str, str]
     """The label of each camera's files, streams or topics, by camera name, where it is not the name."""
     pairing: str
-    """How images of one moment were found, for whoever reads it; empty where there was nothing to pair."""
+    """How images of one moment were paired, in a few words; empty where there was nothing to pair."""
     notes: list[str]
     """Sentences about images that are left out, which are warnings when the source is opened."""
 

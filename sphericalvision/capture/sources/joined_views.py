@@ -75,7 +75,7 @@ def views_layout(size: Sequence[int], rig: CameraRig) -> tuple[int, int]:
 
 
 def rig_of_views(names: Sequence[str], size: Sequence[int]) -> CameraRig:
-    """Stand-ins for cameras that nobody has calibrated: their views fill a picture, as nearly square as they can.
+    """Stand-ins for cameras without a calibration: their views fill a picture, as nearly square as they can.
 
     Raises:
         ArgumentError: so many views do not fill it.

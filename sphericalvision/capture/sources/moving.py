@@ -37,7 +37,7 @@ class Moving:
         names = source.names(Selection())
         if names is None:
             raise ArgumentError(
-                "poses: of images that come live, or whose number nobody knows, poses cannot be told"
+                "poses: needs recorded images; live cameras and streams of unknown length have no poses"
             )
         times = source.times()
         if times is not None:  # a video may end before its header says

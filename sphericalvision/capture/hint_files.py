@@ -93,8 +93,8 @@ class HintFiles:
         """
         try:
             return self._read(self._files[frame])
-        except ArgumentError as error:
-            if not str(error).startswith("hint: "):
+        except ValueError as error:  # everything but the fit comes from the files
+            if isinstance(error, FileFormatError) or str(error).startswith("hint_fit: "):
                 raise
             first, *others = self._files[frame].values()
             more = " and those of the other cameras" if others else ""
@@ -109,7 +109,9 @@ class HintFiles:
         if path.suffix == ".npz":
             keys = ("directions", "inverse_depth", "confidence")
             arrays = read_npz(path, keys, what="as sphericalvision-predict outputs=[npz] writes them")
-            directions, inverse_depth, confidence = (torch.from_numpy(arrays[key]) for key in keys)
+            directions, inverse_depth, confidence = (
+                torch.from_numpy(arrays[key].astype(np.float32)) for key in keys
+            )
             return Hint.of_directions(directions, inverse_depth, confidence, fit=self.fit)
         is_points = path.suffix in POINT_SUFFIXES and path.suffix != ".npy"
         values = None if is_points else _image(path)

@@ -37,9 +37,9 @@ def read_npy(path: str | Path, what: str = "an array of numpy") -> npt.NDArray[A
                 )
             file.seek(0)
             array: npt.NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
+            return _native(array)
         except (ValueError, EOFError, OverflowError, MemoryError) as error:
             raise FileFormatError(f"{path}: is no array of numpy, or is damaged ({error})") from error
-    return array
 
 
 def read_npz(
@@ -69,11 +69,16 @@ def read_npz(
                     f"{', '.join(keys)} unpack to {total:,} bytes, at most {most_bytes:,} are read"
                 )
         with np.load(path, allow_pickle=False) as arrays:
-            return {key: arrays[key] for key in keys}
+            return {key: _native(arrays[key]) for key in keys}
     except (KeyError, ValueError, EOFError, OverflowError, NotImplementedError, zipfile.BadZipFile) as error:
         raise FileFormatError(
             f"{path}: expected {', '.join(keys)}: {what}; it has others, or is damaged ({error})"
         ) from error
+
+
+def _native(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """The array in the byte order of this machine, the only one that torch takes."""
+    return array.astype(array.dtype.newbyteorder("="), copy=False)
 
 
 def _declared_bytes(file: IO[bytes]) -> int:

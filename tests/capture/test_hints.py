@@ -18,7 +18,7 @@ from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Depth, Hint
 from sphericalvision.capture.hint_files import HintFiles
 from sphericalvision.capture.hints import with_hint
-from sphericalvision.core import ArgumentError, ArgumentTypeError
+from sphericalvision.core import ArgumentError, ArgumentTypeError, FileFormatError
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import write_pages
@@ -226,6 +226,40 @@ def test_infinite_pixels_say_nothing(tmp_path: Path) -> None:
     assert torch.equal(read.on(GRID, rig).weight, expected.weight)
     around = HintFiles(str(tmp_path / "{frame}.tiff"), ["0"], rig, torch.eye(4))("0").views[0]
     torch.testing.assert_close(around.values, torch.full((8 * 32,), 1 / 3))
+
+
+def test_arrays_in_files_are_read_in_either_byte_order_or_the_file_is_named(tmp_path: Path) -> None:
+    rig = ring_rig(2, image_size=(8, 8))
+    rays = GRID.vertices[:50].numpy()
+    arrays = {
+        "directions": rays,
+        "inverse_depth": np.linspace(0.1, 2, 50),
+        "confidence": np.ones(50, np.float32),
+    }
+
+    def read(name: str) -> Hint:
+        return HintFiles(str(tmp_path / name), ["0"], rig, torch.eye(4))("0")
+
+    for order in "<>":
+        np.savez(
+            tmp_path / f"{order}.npz",
+            **{key: a.astype(a.dtype.newbyteorder(order)) for key, a in arrays.items()},
+        )
+        np.save(tmp_path / f"{order}.npy", rays.astype(f"{order}f8"))
+        depth = np.full((4, 8), 2500).astype(f"{order}u2")
+        np.save(tmp_path / f"{order}d.npy", np.tile(depth, (4, 4)))
+    for name in ("{}.npz", "{}.npy", "{}d.npy"):
+        little, big = (read(name.format(order)).views[0] for order in "<>")
+        assert torch.equal(little.rays, big.rays)
+        assert torch.equal(little.values, big.values)
+    for key, wrong in (
+        ("directions", rays[:, :2]),
+        ("inverse_depth", np.ones(9)),
+        ("confidence", np.full(50, "x")),
+    ):
+        np.savez(tmp_path / "wrong.npz", **{**arrays, key: wrong})
+        with pytest.raises(FileFormatError, match=r"wrong\.npz: "):
+            read("wrong.npz")
 
 
 def test_views_that_agree_with_nothing_are_left_out() -> None:

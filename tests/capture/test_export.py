@@ -56,6 +56,11 @@ FIXED_INPUTS = {"Squeeze": 1, "Unsqueeze": 1, "Slice": 3}
 """Operator -> its input that TensorRT wants as a constant; of reductions it is the first one after the values."""
 
 
+def needs_onnx() -> None:
+    for package in ("onnx", "onnxscript", "onnxruntime"):
+        pytest.importorskip(package, reason="pip install sphericalvision[onnx]")
+
+
 def check_for_tensorrt(path: Path) -> None:
     """Every node is of a kind that TensorRT takes, within the restrictions of its list, and none waits for values."""
     import onnx
@@ -157,8 +162,7 @@ def test_tables_of_another_rig() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("tables", ["inside", "inputs"])
 def test_the_default_network_as_a_program(tables: str, tmp_path: Path) -> None:
-    for package in ("onnx", "onnxscript", "onnxruntime"):
-        pytest.importorskip(package, reason="pip install sphericalvision[onnx]")
+    needs_onnx()
     program, batch = refined(height=8, tables=tables), 1 if tables == "inside" else None
     exported = export_program(program, tmp_path / "depth.pt2", batch)
     assert sum(node.op == "call_function" for node in exported.graph.nodes) < 3000
@@ -174,28 +178,22 @@ def test_the_default_network_as_a_program(tables: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_default_network_at_its_level(tmp_path: Path) -> None:
-    for package in ("onnx", "onnxscript", "onnxruntime"):
-        pytest.importorskip(package, reason="pip install sphericalvision[onnx]")
-    rig = ring_rig(4, image_size=(200, 200))
-    program = RigProgram(Predictor(rig, min_depth=0.55), height=160)
+@pytest.mark.parametrize(
+    ("weights", "level", "side", "height", "limit"),
+    # Candidates of the default network are the best of few, so in some places it makes much of rounding: noise of 1e-6
+    # in the images changes them by 2e-4, too.
+    [(None, None, 200, 160, 1e-3), ("icosweepnet-small", 4, 40, 16, 1e-4)],
+)
+def test_networks_that_ship_for_tensorrt(
+    weights: str | None, level: int | None, side: int, height: int, limit: float, tmp_path: Path
+) -> None:
+    needs_onnx()
+    rig = ring_rig(4, image_size=(side, side))
+    program = RigProgram(Predictor(rig, weights, level=level, min_depth=0.55), height=height)
     images = torch.stack(list(render_rig(make_scene("room", seed=1), rig).values()))[None]
     path = export_onnx(export_program(program), tmp_path / "depth.onnx")
     check_for_tensorrt(path)
-    # Candidates are the best of few, so in some places the network makes much of rounding: noise of 1e-6 in the
-    # images changes them by 2e-4, too.
-    assert onnx_difference(path, program, images) < 1e-3
-
-
-@pytest.mark.slow
-def test_the_smallest_network_for_tensorrt(tmp_path: Path) -> None:
-    for package in ("onnx", "onnxscript", "onnxruntime"):
-        pytest.importorskip(package, reason="pip install sphericalvision[onnx]")
-    rig = ring_rig(4, image_size=(40, 40))
-    program = RigProgram(Predictor(rig, "icosweepnet-small", level=4, min_depth=0.5), height=16)
-    path = export_onnx(export_program(program), tmp_path / "depth.onnx")
-    check_for_tensorrt(path)
-    assert onnx_difference(path, program, example_images(program)) < 1e-4
+    assert onnx_difference(path, program, images) < limit
 
 
 class Bright(DepthNetwork):
@@ -219,8 +217,7 @@ def exported_alike(program: RigProgram, folder: Path, tolerance: float) -> Path:
     loaded = torch.export.load(folder / "depth.pt2").module()
     for ours, theirs in zip(program(images), loaded(images), strict=True):
         torch.testing.assert_close(theirs, ours, rtol=tolerance, atol=tolerance)
-    for package in ("onnx", "onnxscript", "onnxruntime"):
-        pytest.importorskip(package, reason="pip install sphericalvision[onnx]")
+    needs_onnx()
     path = export_onnx(exported, folder / "depth.onnx")
     assert onnx_difference(path, program, images) < tolerance
     return path

@@ -97,7 +97,7 @@ class Predictor:
     Args:
         rig: calibrated cameras, for instance ``cameras.read_rig("capture/config.yaml")``; its masks are used.
         weights: a name of ``models.available_weights()``, a weights file, or a network; by default the one that
-            ships, ``refinedsweepnet``.
+            ships, ``refinedsweepnet``. ``pretrained().with_changes(num_hypotheses=32)`` has other hypotheses.
         method: ``"network"``, or ``"semi_global"``: a sweep without training at the level of the network.
         min_depth: nearest hypothesis in metres. ``"scene"`` estimates it from the first images, once, which takes one
             to three seconds. ``None`` is that of the training, scaled with the rig if the network was trained with rigs

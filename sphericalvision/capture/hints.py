@@ -386,8 +386,9 @@ def _view(
     rays, values = rays.detach().float(), values.detach().float()
     if not isinstance(weight, Real):
         check_tensor("weight", weight, "a number, or one for each value")
-        weight = weight.flatten()
-    weights = torch.as_tensor(weight, dtype=torch.float32, device=values.device).expand(values.shape)
+    weights = (
+        torch.as_tensor(weight, dtype=torch.float32, device=values.device).flatten().expand(values.shape)
+    )
     if bool(((weights < 0) | (weights > 1)).any()):
         raise ArgumentError(
             f"weight: expected 0 to 1, got {weights.min().item():g} to {weights.max().item():g}"

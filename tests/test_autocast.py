@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Autocast moves no ray, pose or picture: every public verb of cameras, rigs, trajectories, geometry and pictures.
 
-``tests/test_meta_device.py`` has the same law for functions of tensors; here is what it leaves out, and every method.
+``tests/test_operators.py`` has the same law for functions of tensors; here is what it leaves out, and every method.
 A new name or method is in one of the two tables.
 """
 
@@ -21,7 +21,7 @@ from torch import Tensor
 from sphericalvision import cameras, geometry, viz
 from sphericalvision.cameras import Camera, CameraRig, KannalaBrandtCamera, Trajectory, ring_rig
 from sphericalvision.icosphere import Icosphere
-from tests.test_meta_device import CALLS
+from tests.laws.operators import CALLS
 
 SIZE = (24, 32)
 

@@ -33,11 +33,12 @@ __all__ = ["HexGroupConv2d", "HexLiftConv2d", "hex_group_conv2d", "hex_lift_conv
 ORIENTATIONS = 6
 
 
+@check_shapes
 def hex_lift_conv2d(
     values: Float[Tensor, "B C_in V"],
-    weight: Float[Tensor, "C_out C_in 7"],
+    weight: Float[Tensor, "C_out C_weight 7"],
     stride: int = 1,
-    north: Float[Tensor, " V"] | None = None,
+    north: Float[Tensor, " V_north"] | None = None,
 ) -> Float[Tensor, "B C_out 6 V_out"]:
     """Convolve values with each kernel in six orientations; the k-th is turned by k neighbours, clockwise from outside.
 

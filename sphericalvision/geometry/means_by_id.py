@@ -29,8 +29,8 @@ class MeansById(NamedTuple):
     others: Int[Tensor, " E"]
 
 
-def means_by_id(ids: Int[Tensor, " P"], size: int) -> MeansById:
-    """Return the tables of P places with ids from 0 to size - 1, each of which occurs.
+def means_by_id(ids: Int[Tensor, " P"], size: int, dtype: torch.dtype = torch.float32) -> MeansById:
+    """Return the tables of P places with ids from 0 to size - 1, each of which occurs, for values of a type.
 
     Examples:
         >>> means_by_id(torch.tensor([1, 0, 1, 0, 1]), 2).reads
@@ -45,7 +45,7 @@ def means_by_id(ids: Int[Tensor, " P"], size: int) -> MeansById:
         number = torch.arange(width, device=ids.device)[:, None]
         present = number < counts[of]
         members = in_order[(first[of] + number).clamp(max=len(ids) - 1)].where(present, 0)
-        return members, present / counts[of]
+        return members, present / counts[of].to(dtype)
 
     every = torch.arange(size, device=ids.device)
     others = (counts != usual).nonzero()[:, 0]

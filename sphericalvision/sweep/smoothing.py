@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError
+from sphericalvision.geometry.directions import in_single_precision
 from sphericalvision.geometry.means_by_id import MeansById, mean_by_id, means_by_id
 from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.lines import icosphere_lines
@@ -48,7 +49,7 @@ def semi_global_smoothing(
             icosahedron; lines run around the sphere in 5. Paths along such an edge start at its end.
 
     Returns:
-        ``(B, N, V)``; the best hypothesis is the smallest.
+        ``(B, N, V)`` in float32 at least; the best hypothesis is the smallest.
 
     Raises:
         ShapeError: if the cost is not on an icosphere or the guide does not fit.
@@ -73,7 +74,7 @@ def semi_global_smoothing(
         raise ArgumentError(f"contrast: expected a positive number, got {contrast}")
     paths = smoothing_paths(level, lead, cost.device)
     jumps = _jump_penalties(guide, paths, small_penalty, large_penalty, contrast)
-    return _path_means(cost, jumps, small_penalty, paths)
+    return _path_means(in_single_precision(cost), jumps, small_penalty, paths)
 
 
 def _means_by_adding(cost: Tensor, jumps: Tensor, small_penalty: float, paths: SmoothingPaths) -> Tensor:

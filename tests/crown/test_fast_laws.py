@@ -101,6 +101,9 @@ OPERATORS = [
     case("conv3d, level 2, N = 4", lambda: between(CrownConv3d(2, 3)), 2, 4, V2),
     case("conv3d, stride 2", lambda: between(CrownConv3d(2, 3, 2)), 2, 4, V1),
     case("hexconv2d", lambda: HexConv2d(3, 4, bias=True), 3, V1),
+    case("hexconv2d, level 0", lambda: HexConv2d(3, 4), 3, V0),
+    case("hexconv2d, level 3, stride 2", lambda: HexConv2d(3, 4, 2, bias=True), 3, V3),
+    case("hexconv2d, north, level 0", lambda: HexConv2d(3, 4, orientation="north", level=0), 3, V0),
     case("hexconv2d, north, stride 2", lambda: HexConv2d(3, 4, 2, orientation="north", level=1), 3, V1),
     case("hexconv3d", lambda: HexConv3d(2, 3, bias=True), 2, 3, V1),
     case("batch norm 2d", lambda: between(CrownBatchNorm2d(3)), 3, V1),
@@ -135,7 +138,7 @@ NETWORKS = [
     case("network, variance", lambda: Network(aggregation="variance", norm="instance"), 2, 3, V3),
 ]
 
-WAYS = ["plain", pytest.param("require", marks=needs_compiler)]
+WAYS = ["plain", "graph", pytest.param("require", marks=needs_compiler)]
 by_each_way = pytest.mark.parametrize("way", WAYS)
 
 

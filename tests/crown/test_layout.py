@@ -15,7 +15,6 @@ from sphericalvision.crown import (
     from_crown,
     to_crown,
 )
-from sphericalvision.crown.layout import crown_map
 from sphericalvision.icosphere import icosphere_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.topology import chart_vertex_ids
 
@@ -96,16 +95,6 @@ def test_from_crown_is_the_mean_over_places(level: int, channels: tuple[int, ...
     assert min(map(len, places)) >= 2
 
 
-@pytest.mark.parametrize("level", [0, 1])
-def test_gradients(level: int) -> None:
-    values = torch.randn(1, 2, num_icosphere_vertices(level), dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(lambda v: tuple(to_crown(v)), (values,))
-    assert torch.autograd.gradgradcheck(lambda v: tuple(to_crown(v)), (values,))
-    crown = crown_map(lambda x: x[:1].requires_grad_(), random_crown(level, 1))
-    assert torch.autograd.gradcheck(lambda col, row: from_crown(Crown(col, row)), tuple(crown))
-    assert torch.autograd.gradcheck(lambda col, row: tuple(exchange(Crown(col, row))), tuple(crown))
-
-
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_exchange_is_a_projection(dtype: torch.dtype) -> None:
     once = exchange(random_crown(2, 3, 4, dtype=dtype))
@@ -113,23 +102,6 @@ def test_exchange_is_a_projection(dtype: torch.dtype) -> None:
     torch.testing.assert_close(once.col, twice.col)
     torch.testing.assert_close(once.row, twice.row)
     assert once.col.dtype == dtype
-
-
-def test_layout_does_not_depend_on_memory_order() -> None:
-    values = torch.randn(2, 162, 6, 4).permute(0, 3, 2, 1)
-    crown, expected = to_crown(values), to_crown(values.contiguous())
-    assert torch.equal(crown.col, expected.col)
-    assert torch.equal(crown.row, expected.row)
-    contiguous = crown_map(lambda x: x.contiguous(), crown)
-    torch.testing.assert_close(from_crown(contiguous), from_crown(crown))
-
-
-def test_inputs_are_left_alone() -> None:
-    crown = random_crown(1, 2)
-    before = crown_map(torch.clone, crown)
-    from_crown(crown)
-    assert torch.equal(crown.col, before.col)
-    assert torch.equal(crown.row, before.row)
 
 
 def test_addition_and_relu() -> None:

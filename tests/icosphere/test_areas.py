@@ -98,10 +98,3 @@ def test_points_at_infinity_leave_their_triangles_out() -> None:
     assert normals.isfinite().all()
     assert (normals[0] == 0).all()  # no triangle is left
     torch.testing.assert_close(normals[-1], points[-1])  # far away nothing changes
-
-
-def test_gradients_of_normals(generator: torch.Generator) -> None:
-    points = icosphere_vertices(0, torch.float64) + 0.1 * torch.randn(
-        12, 3, generator=generator, dtype=torch.float64
-    )
-    assert torch.autograd.gradcheck(icosphere_normals, points.requires_grad_())

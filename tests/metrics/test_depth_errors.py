@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.metrics import DepthError, DepthIndexError, depth_error, depth_index_error, omnimvs_error
+from sphericalvision.metrics import DepthError, DepthIndexError, depth_error, depth_index_error
 
 
 def loop_index_errors(pred: Tensor, target: Tensor, mask: Tensor, number: int) -> dict[str, float]:
@@ -110,20 +110,13 @@ def test_depth_error_at_infinity() -> None:
 
 
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
-def test_half_precision_is_summed_up_in_double(dtype: torch.dtype, generator: torch.Generator) -> None:
-    """The errors are those of the rounded numbers: nothing is rounded again, over many points either."""
-    target = (191 * torch.rand(2, 5000, generator=generator)).to(dtype)
-    pred = (target + 3 * torch.randn(2, 5000, generator=generator)).to(dtype)
-    torch.testing.assert_close(
-        depth_index_error(pred, target, 192), depth_index_error(pred.double(), target.double(), 192)
-    )
-    torch.testing.assert_close(
-        depth_error(pred.abs() + 1, target + 1), depth_error((pred.abs() + 1).double(), (target + 1).double())
-    )
-    pred, target = (values.abs().view(2, 50, 100)[:, :25] / 255 for values in (pred, target))
-    torch.testing.assert_close(omnimvs_error(pred, target), omnimvs_error(pred.double(), target.double()))
+def test_many_images_in_half_precision_are_summed_up_in_double(
+    dtype: torch.dtype, generator: torch.Generator
+) -> None:
+    target = torch.rand(2, 5000, generator=generator).to(dtype)
+    pred = (target + torch.randn(2, 5000, generator=generator) / 64).to(dtype)
     metric, expected = DepthIndexError(192), DepthIndexError(192)
     for _ in range(100):
-        metric.update(pred.flatten(1), target.flatten(1))
-    expected.update(pred.double().flatten(1), target.double().flatten(1))
+        metric.update(pred, target)
+    expected.update(pred.double(), target.double())
     torch.testing.assert_close(metric.compute(), expected.compute())

@@ -63,14 +63,6 @@ def test_index_and_depth_are_inverse_functions(generator: torch.Generator) -> No
     torch.testing.assert_close(index_from_depth(depth_from_index(index, 32, 0.55), 32, 0.55), index)
 
 
-@pytest.mark.parametrize("kind", [torch.float16, torch.bfloat16])
-def test_indices_of_half_precision_are_computed_in_single(kind: torch.dtype) -> None:
-    depth = torch.tensor([0.56, 1.234, 7.7, 100.0]).to(kind)
-    torch.testing.assert_close(index_from_depth(depth, 192, 0.55), index_from_depth(depth.float(), 192, 0.55))
-    found = index_from_inverse_depth(depth, 192, 0.55)
-    torch.testing.assert_close(found, index_from_inverse_depth(depth.float(), 192, 0.55))
-
-
 def test_infinity_has_index_zero_and_a_finite_gradient() -> None:
     depth = torch.tensor([torch.inf, 2.0], requires_grad=True)
     index = index_from_depth(depth, 32, 0.55)

@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import pytest
 import torch
 
 from sphericalvision.cameras import ring_rig
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.sweep import DepthEstimate, depth_from_index, photo_consistency, semi_global_sweep
+from sphericalvision.sweep import depth_from_index, photo_consistency
 from sphericalvision.sweep.appearance import local_appearance
 from sphericalvision.sweep.photo_consistency import _neighborhood_mean, deviation_cost
 from sphericalvision.sweep.ring_mean import ring_mean
@@ -56,15 +55,6 @@ def test_exposure_changes_little() -> None:
     gains = torch.tensor([1.0, 0.7, 0.8, 0.6])[:, None, None]
     found = photo_consistency(images * gains, rig, NUM_HYPOTHESES, MIN_DEPTH).index
     assert ((found - 4).abs() <= 1).float().mean() > 0.8
-
-
-@pytest.mark.parametrize("find", [photo_consistency, semi_global_sweep])
-def test_images_in_half_precision_are_compared_in_single(find: Callable[..., DepthEstimate]) -> None:
-    rig = ring_rig(4)
-    images = textured_sphere(rig, 1.0, level=4).half()
-    found = find(images, rig, NUM_HYPOTHESES, MIN_DEPTH)
-    expected = find(images.float(), rig, NUM_HYPOTHESES, MIN_DEPTH)
-    torch.testing.assert_close(found, expected, rtol=0, atol=0)
 
 
 def test_points_seen_by_fewer_than_two_cameras_are_at_infinity_without_confidence() -> None:

@@ -30,11 +30,6 @@ def test_soft_argmax_mirrors_with_the_hypotheses(generator: torch.Generator) -> 
     torch.testing.assert_close(soft_argmax(logits.flip(1)), 7 - soft_argmax(logits))
 
 
-def test_soft_argmax_gradient(generator: torch.Generator) -> None:
-    logits = torch.randn(1, 4, 3, dtype=torch.float64, generator=generator, requires_grad=True)
-    assert torch.autograd.gradcheck(soft_argmax, logits)
-
-
 def test_confidence_of_one_peak_of_two_and_of_none() -> None:
     one, two, none = (torch.full((16, 1), -30.0) for _ in range(3))
     one[5], two[2], two[13], none[:] = 30.0, 30.0, 30.0, 0.0

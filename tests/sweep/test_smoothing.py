@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from sphericalvision.icosphere import Icosphere, icosphere_neighbors
-from sphericalvision.kernels import kernels
 from sphericalvision.sweep import semi_global_smoothing
 from sphericalvision.sweep.smoothing import smoothing_paths
 
@@ -110,15 +109,6 @@ def test_turning_by_a_fifth_turns_the_result(generator: torch.Generator) -> None
     torch.testing.assert_close(turned, smooth[..., moved])
 
 
-def test_samples_of_a_batch_do_not_meet(generator: torch.Generator) -> None:
-    cost = torch.rand(3, 5, 162, generator=generator)
-    guide = torch.rand(3, 2, 162, generator=generator)
-    together = semi_global_smoothing(cost, 0.1, 0.6, guide)
-    for sample in range(3):
-        one = slice(sample, sample + 1)
-        torch.testing.assert_close(together[one], semi_global_smoothing(cost[one], 0.1, 0.6, guide[one]))
-
-
 def test_a_bare_region_takes_the_depth_around_it() -> None:
     ico = Icosphere(4)
     cost = torch.ones(1, 9, ico.num_vertices)
@@ -140,12 +130,3 @@ def test_an_edge_of_the_guide_makes_jumps_cheap() -> None:
         for colors in (None, guide)
     ]
     assert wrong[1] < 0.5 * wrong[0]
-
-
-@pytest.mark.parametrize("guided", [True, False])
-def test_few_large_operators_give_the_same(guided: bool, generator: torch.Generator) -> None:
-    cost = torch.rand(2, 5, 162, generator=generator)
-    guide = torch.rand(2, 3, 162, generator=generator) if guided else None
-    expected = semi_global_smoothing(cost, 0.3, 3.6, guide, 0.4)
-    with kernels("graph"):
-        torch.testing.assert_close(semi_global_smoothing(cost, 0.3, 3.6, guide, 0.4), expected)

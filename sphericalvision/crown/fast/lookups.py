@@ -39,10 +39,9 @@ def unfold(
     values: Num[Tensor, "B C *N V"],
 ) -> tuple[Num[Tensor, "B 5 C *N long short"], Num[Tensor, "B 5 C *N short long"]]:
     """Look values up at the places of all rectangles, as ``places.values_at_places`` does."""
-    level = level_from_num_vertices(values.shape[-1])
     if is_traced():  # which differentiate lookups themselves
-        return as_rectangles(values.index_select(-1, _places(level, values.device).ids), level)
-    return as_rectangles(_Unfold.apply(values), level)
+        return NotImplemented
+    return as_rectangles(_Unfold.apply(values), level_from_num_vertices(values.shape[-1]))
 
 
 def fold(
@@ -52,21 +51,15 @@ def fold(
     ids = torch.cat([rectangles.flatten(-2).movedim(1, -2) for rectangles in (col, row)], -2).flatten(-2)
     level = level_of_rectangles(col)
     if is_traced():
-        return mean_by_id(ids, _places(level, ids.device).means)
+        return mean_by_id(ids, _means(level, ids.dtype, ids.device)[0])
     return _Fold.apply(ids, level)  # type: ignore[no-any-return]
 
 
-class _Places(NamedTuple):
-    ids: Int[Tensor, " places"]
-    means: MeansById
-    counts: Float[Tensor, " V"]
-
-
 @constant_table
-def _places(level: int, device: torch.device) -> _Places:
-    """Vertices at all places; where the places of each are; and their number."""
+def _means(level: int, dtype: torch.dtype, device: torch.device) -> tuple[MeansById, Tensor]:
+    """Where the places of each vertex are, and their number."""
     ids, number = place_ids(level, device).flatten(), num_icosphere_vertices(level)
-    return _Places(ids, means_by_id(ids, number), ids.bincount(minlength=number).float())
+    return means_by_id(ids, number, dtype), ids.bincount(minlength=number).to(dtype)
 
 
 class _Unfold(torch.autograd.Function):
@@ -75,14 +68,13 @@ class _Unfold(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, values: Tensor) -> Tensor:
         ctx.level = level_from_num_vertices(values.shape[-1])
-        return values.index_select(-1, _places(ctx.level, values.device).ids)
+        return values.index_select(-1, place_ids(ctx.level, values.device).flatten())
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> Tensor:
         (gradient,) = gradients
-        return _Fold.apply(gradient, ctx.level) * _places(ctx.level, gradient.device).counts.to(
-            gradient.dtype
-        )  # type: ignore[no-any-return]
+        _, counts = _means(ctx.level, gradient.dtype, gradient.device)
+        return _Fold.apply(gradient, ctx.level) * counts  # type: ignore[no-any-return]
 
 
 class _Fold(torch.autograd.Function):
@@ -90,13 +82,13 @@ class _Fold(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, places: Tensor, level: int) -> Tensor:
-        return mean_by_id(places, _places(level, places.device).means)
+        return mean_by_id(places, _means(level, places.dtype, places.device)[0])
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None]:
         (gradient,) = gradients
-        level = level_from_num_vertices(gradient.shape[-1])
-        return _Unfold.apply(gradient / _places(level, gradient.device).counts.to(gradient.dtype)), None
+        _, counts = _means(level_from_num_vertices(gradient.shape[-1]), gradient.dtype, gradient.device)
+        return _Unfold.apply(gradient / counts), None
 
 
 def convolve_with_joined_border(

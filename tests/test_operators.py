@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Laws of every public function, module and class of tensors: one table of calls, ``tests/laws/operators.py``.
+
+The meta device shows what a machine without a GPU cannot: a tensor made on the wrong device, or a look at a number
+(``.item()``, ``bool(...)``, ``nonzero``), which on a GPU waits for all that was asked for before. What does not run
+there is listed with its reason, so a new name is in one of the two tables.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from sphericalvision import cameras, crown, geometry, icosphere, losses, metrics, sphere, sweep
+from sphericalvision.core import ArgumentTypeError
+from sphericalvision.kernels import kernels
+from tests.laws.operators import CALLS, EXCEPTIONS, Inputs, call
+from tests.test_public_api import INVENTORY
+
+
+def test_every_public_name_is_in_one_of_the_tables() -> None:
+    names = {line.partition(": ")[2] for line in INVENTORY.read_text().splitlines()}
+    assert not set(CALLS) & set(EXCEPTIONS)
+    assert set(CALLS) | set(EXCEPTIONS) == names, set(CALLS) ^ set(EXCEPTIONS) ^ names
+
+
+ROOMS = (cameras, crown, geometry, icosphere, losses, metrics, sphere, sweep)
+NAMES = {room: [name for name in dir(room) if name in CALLS] for room in ROOMS}
+
+
+def names(*rooms: Any, without: str = "") -> pytest.MarkDecorator:
+    """Names of rooms, without some."""
+    return pytest.mark.parametrize(
+        "name", [name for room in rooms for name in NAMES[room] if name not in without.split()]
+    )
+
+
+TABLES = """
+Camera remap_mask undistorted_camera north_fraction icosphere_edges icosphere_faces icosphere_neighbors icosphere_rings
+icosphere_solid_angles icosphere_vertices icosphere_voronoi_solid_angles nested_from_ring ring_from_nested resample_mask
+sphere_taps SphereGrid SweepTables semi_global_tables inverse_depth_hypotheses
+"""
+"""Names that take no tensor of numbers."""
+
+
+def assert_same(found: list[Tensor], expected: list[Tensor], tolerance: float = 0.0) -> None:
+    assert expected
+    for one, other in zip(found, expected, strict=True):
+        torch.testing.assert_close(one, other, rtol=tolerance, atol=tolerance, equal_nan=True)
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_it_runs_on_the_meta_device(name: str) -> None:
+    results = call(name, Inputs())
+    assert results
+    assert {tensor.device.type for tensor in results} == {"meta"}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_it_takes_a_batch_of_none(name: str) -> None:
+    assert call(name, Inputs("cpu", sizes={1: 0, 5: 0}))
+
+
+@names(
+    cameras, geometry, icosphere, losses, metrics, sphere, sweep,
+    without="SphereConv2d sphere_conv2d make_seamless Concatenation",  # convolutions, which autocast is for
+)  # fmt: skip
+def test_autocast_leaves_its_numbers_alone(name: str) -> None:
+    expected = call(name, Inputs("cpu", sizes={5: 500}))
+    with torch.autocast("cpu", torch.bfloat16):
+        assert_same(call(name, Inputs("cpu", sizes={5: 500})), expected)
+
+
+@names(
+    losses, metrics, sweep,
+    without=f"""{TABLES} angular_error Aggregation Concatenation MeanVariance SphereSweep PanoramaSweep SweepVolume
+    sphere_sweep photo_consistency_share""",
+)  # fmt: skip
+def test_half_precision_is_computed_in_single(name: str) -> None:
+    """Of the numbers as they were rounded, and nothing is rounded again but the result."""
+    inputs = Inputs("cpu", torch.float16)
+    found = call(name, inputs)
+    exact = [x.float() if x.is_floating_point() else x for _, x in inputs.made]
+    expected = call(name, Inputs("cpu", replayed=iter(exact)))
+    assert_same(found, [x.to(y.dtype) for x, y in zip(expected, found, strict=True)])
+
+
+@names(
+    *ROOMS,
+    without=f"""{TABLES} directions_from_longitude_latitude depth_from_index index_from_depth index_from_inverse_depth
+    inverse_depth_from_index""",  # of one dimension
+)
+def test_inputs_are_left_alone_and_may_lie_in_any_order_in_memory(name: str) -> None:
+    inputs = Inputs("cpu")
+    expected = call(name, inputs)
+    assert any(x.ndim > 1 for _, x in inputs.made)
+    before = [x.clone() for _, x in inputs.made]
+    mirrored = [x.mT.contiguous().mT if x.ndim > 1 else x for _, x in inputs.made]
+    assert_same(call(name, Inputs("cpu", replayed=iter(mirrored))), expected, 1e-5)
+    for tensors in (mirrored, [x for _, x in inputs.made]):
+        assert all(map(torch.equal, before, tensors))
+
+
+@names(
+    crown, geometry, icosphere, losses, metrics, sphere, sweep,
+    without=f"""{TABLES} bilinear_sample invert_transform icosphere_normals depth_index_huber Cubemap Equirectangular
+    Healpix TangentImages healpix_pool healpix_upsample CubePad2d equirectangular_pad cube_from_layout cube_to_layout
+    Resample seam_mask soft_argmax soft_argmax_confidence views""",  # which have no such dimension, or not as the first
+)  # fmt: skip
+def test_a_sample_or_a_point_alone_gives_what_it_gives_among_others(name: str) -> None:
+    inputs = Inputs("cpu", sizes={1: 3}, training=False)
+    together = call(name, inputs)
+    lead, number = (1, 3) if any(size == 1 for size, _ in inputs.made) else (5, 5)
+    compared = 0
+    for row in range(number):
+        alone = [x[row : row + 1] if size == lead else x for size, x in inputs.made]
+        results = call(name, Inputs("cpu", training=False, replayed=iter(alone)))
+        for one, of_all in zip(results, together, strict=True):
+            if of_all.shape[:1] == (number,) and one.shape[:1] == (1,):
+                assert_same([one], [of_all[row : row + 1]], 1e-4)
+                compared += 1
+    assert compared
+
+
+@names(
+    crown, geometry, icosphere, losses, sphere, sweep,
+    without=f"{TABLES} icosphere_within Views photo_consistency photo_consistency_share semi_global_sweep",
+)  # fmt: skip
+def test_gradients_are_those_of_finite_differences(name: str) -> None:
+    inputs = Inputs("cpu", torch.float64)
+    call(name, inputs)
+    leaves = [x.requires_grad_() if x.is_floating_point() else x for _, x in inputs.made]
+
+    def function(*leaves: Tensor) -> tuple[Tensor, ...]:
+        results = call(name, Inputs("cpu", torch.float64, replayed=iter(leaves)))
+        return tuple(x for x in results if x.requires_grad)
+
+    assert function(*leaves)
+    assert torch.autograd.gradcheck(function, leaves, fast_mode=True)
+
+
+@names(*ROOMS, without="SweepTables semi_global_tables")  # at edges several triangles are right
+def test_every_mode_of_kernels_gives_the_numbers_of_the_reference(name: str) -> None:
+    with kernels("reference"):
+        expected = call(name, Inputs("cpu"))
+    for mode in ("plain", "graph"):
+        with kernels(mode):
+            assert_same(call(name, Inputs("cpu")), expected, 1e-4)
+
+
+@names(crown, losses, metrics, sweep, without=f"{TABLES} DepthHint")
+def test_an_array_of_numpy_in_place_of_a_tensor_is_a_type_error(name: str) -> None:
+    inputs = Inputs("cpu")
+    call(name, inputs)
+    assert inputs.made
+    for index in range(len(inputs.made)):
+        changed: list[Any] = [x for _, x in inputs.made]
+        changed[index] = changed[index].numpy()
+        with pytest.raises(ArgumentTypeError):
+            call(name, Inputs("cpu", replayed=iter(changed)))

@@ -8,18 +8,12 @@ import torch
 
 from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ShapeError
-from sphericalvision.sweep import depth_from_index, photo_consistency, photo_consistency_share
+from sphericalvision.sweep import photo_consistency, photo_consistency_share
 from sphericalvision.sweep.consistency_share import consistency_share
 from sphericalvision.sweep.semi_global import semi_global_tables
-from tests.sweep.textured_sphere import textured_sphere
+from tests.sweep.textured_sphere import MIN_DEPTH, NUM_HYPOTHESES, sphere_at
 
-NUM_HYPOTHESES, MIN_DEPTH = 9, 0.5
 RIG = ring_rig(4)
-
-
-def images_at(index: float, level: int = 4) -> torch.Tensor:
-    depth = depth_from_index(torch.tensor(index), NUM_HYPOTHESES, MIN_DEPTH).item()
-    return textured_sphere(RIG, depth, level=level)
 
 
 def share_at(index: float, images: torch.Tensor) -> float:
@@ -28,20 +22,20 @@ def share_at(index: float, images: torch.Tensor) -> float:
 
 
 def test_the_true_depth_is_the_most_consistent() -> None:
-    images = images_at(4.0)
+    images = sphere_at(4.0, RIG, level=4)
     at_truth = share_at(4.0, images)
     assert 0.9 < at_truth <= 1
     assert all(share_at(index, images) < at_truth - 0.05 for index in (3.0, 5.0, 7.5))
 
 
 def test_exposure_does_not_matter() -> None:
-    images = images_at(4.0)
+    images = sphere_at(4.0, RIG, level=4)
     gains = torch.tensor([0.6, 1.0, 0.8, 0.4]).view(1, 4, 1, 1)
     assert share_at(4.0, images * gains - 0.1) == pytest.approx(share_at(4.0, images), abs=0.02)
 
 
 def test_tables_stand_for_the_rig_and_levels_may_differ() -> None:
-    images = images_at(4.0)
+    images = sphere_at(4.0, RIG, level=4)
     tables = semi_global_tables(RIG, NUM_HYPOTHESES, MIN_DEPTH, image_level=4)
     index = torch.full((1, 2562), 4.0)
     alone = photo_consistency_share(index[:, :642], images, RIG, NUM_HYPOTHESES, MIN_DEPTH)
@@ -63,12 +57,12 @@ def test_a_share_is_reached_over_most_where_two_cameras_see() -> None:
 
 
 def test_depth_finer_than_the_images_is_refused() -> None:
-    images = images_at(4.0)
+    images = sphere_at(4.0, RIG, level=4)
     with pytest.raises(ShapeError, match="level 4 or less"):
         photo_consistency_share(torch.zeros(1, 10242), images, RIG, NUM_HYPOTHESES, MIN_DEPTH)
 
 
 def test_winner_takes_all_reaches_almost_all() -> None:
-    images = images_at(4.0)
+    images = sphere_at(4.0, RIG, level=4)
     found = photo_consistency(images, RIG, 17, MIN_DEPTH, level=3, aggregation=1).index
     assert photo_consistency_share(found, images, RIG, 17, MIN_DEPTH).item() > 0.9

@@ -10,22 +10,19 @@ import torch
 
 from sphericalvision.cameras import ring_rig
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.sweep import depth_from_index, photo_consistency
+from sphericalvision.sweep import photo_consistency
 from sphericalvision.sweep.appearance import local_appearance
 from sphericalvision.sweep.photo_consistency import _neighborhood_mean, deviation_cost
 from sphericalvision.sweep.ring_mean import ring_mean
 from sphericalvision.sweep.winner import winner_takes_all
-from tests.sweep.textured_sphere import textured_sphere
-
-NUM_HYPOTHESES, MIN_DEPTH = 9, 0.5
+from tests.sweep.textured_sphere import MIN_DEPTH, NUM_HYPOTHESES, sphere_at
 
 
 @pytest.mark.parametrize("index", [0, 2, 4, 7])
 @pytest.mark.parametrize("aggregation", [0, 1])
 def test_finds_the_radius_of_a_textured_sphere(index: int, aggregation: int) -> None:
     rig = ring_rig(4)
-    depth = depth_from_index(torch.tensor(float(index)), NUM_HYPOTHESES, MIN_DEPTH).item()
-    images = textured_sphere(rig, min(depth, 1e4), level=5)
+    images = sphere_at(index, rig, level=5)
     found, confidence, seen = photo_consistency(
         images, rig, NUM_HYPOTHESES, MIN_DEPTH, aggregation=aggregation
     )
@@ -39,8 +36,7 @@ def test_finds_the_radius_of_a_textured_sphere(index: int, aggregation: int) -> 
 
 def test_between_two_hypotheses_the_parabola_is_closer() -> None:
     rig = ring_rig(4)
-    depth = depth_from_index(torch.tensor(4.4), NUM_HYPOTHESES, MIN_DEPTH).item()
-    images = textured_sphere(rig, depth, level=5)
+    images = sphere_at(4.4, rig, level=5)
     whole, fraction = (
         photo_consistency(images, rig, NUM_HYPOTHESES, MIN_DEPTH, subhypothesis=refine).index
         for refine in (False, True)
@@ -50,8 +46,7 @@ def test_between_two_hypotheses_the_parabola_is_closer() -> None:
 
 def test_exposure_changes_little() -> None:
     rig = ring_rig(4)
-    depth = depth_from_index(torch.tensor(4.0), NUM_HYPOTHESES, MIN_DEPTH).item()
-    images = textured_sphere(rig, depth, level=5)
+    images = sphere_at(4.0, rig, level=5)
     gains = torch.tensor([1.0, 0.7, 0.8, 0.6])[:, None, None]
     found = photo_consistency(images * gains, rig, NUM_HYPOTHESES, MIN_DEPTH).index
     assert ((found - 4).abs() <= 1).float().mean() > 0.8
@@ -67,8 +62,7 @@ def test_points_seen_by_fewer_than_two_cameras_are_at_infinity_without_confidenc
 
 def test_what_is_masked_does_not_count_whatever_is_in_its_place() -> None:
     rig = ring_rig(4)
-    depth = depth_from_index(torch.tensor(4.0), NUM_HYPOTHESES, MIN_DEPTH).item()
-    images = textured_sphere(rig, depth)
+    images = sphere_at(4.0, rig)
     seen = Icosphere(5).vertices[:, 0] < 0.5
     results = []
     for filling in (0.0, -1.0, 0.7):

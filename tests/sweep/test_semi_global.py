@@ -14,22 +14,18 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import RotateFivefold
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sweep import (
-    depth_from_index,
     photo_consistency,
     semi_global_costs,
     semi_global_sweep,
     semi_global_tables,
 )
-from tests.sweep.textured_sphere import textured_sphere
-
-NUM_HYPOTHESES, MIN_DEPTH = 9, 0.5
+from tests.sweep.textured_sphere import MIN_DEPTH, NUM_HYPOTHESES, sphere_at
 
 
 @pytest.mark.parametrize("index", [0, 2, 4, 7])
 def test_the_radius_of_a_textured_sphere_is_found_everywhere(index: int) -> None:
     rig = ring_rig(4)
-    depth = depth_from_index(torch.tensor(float(index)), NUM_HYPOTHESES, MIN_DEPTH).item()
-    images = textured_sphere(rig, min(depth, 1e4))
+    images = sphere_at(index, rig)
     found, confidence, seen = semi_global_sweep(images, rig, NUM_HYPOTHESES, MIN_DEPTH)
     assert found.shape == confidence.shape == seen.shape == (1, 642)
     assert (found - index).abs().max() < 1
@@ -62,16 +58,14 @@ def test_the_winner_is_among_the_hypotheses_that_two_cameras_see(monkeypatch: py
 
 def test_between_two_hypotheses_the_fraction_is_found() -> None:
     rig = ring_rig(4)
-    depth = depth_from_index(torch.tensor(4.3), NUM_HYPOTHESES, MIN_DEPTH).item()
-    found = semi_global_sweep(textured_sphere(rig, depth), rig, NUM_HYPOTHESES, MIN_DEPTH).index
+    found = semi_global_sweep(sphere_at(4.3, rig), rig, NUM_HYPOTHESES, MIN_DEPTH).index
     assert (found - 4.3).abs().median() < 0.1
 
 
 def test_noise_harms_less_than_it_harms_the_smallest_cost_alone() -> None:
     rig = ring_rig(4)
-    depth = depth_from_index(torch.tensor(4.0), NUM_HYPOTHESES, MIN_DEPTH).item()
     noise = 0.1 * torch.randn(1, 4, 3, 10242, generator=torch.Generator().manual_seed(0))
-    images = textured_sphere(rig, depth) + noise
+    images = sphere_at(4.0, rig) + noise
     simple = photo_consistency(images, rig, NUM_HYPOTHESES, MIN_DEPTH).index
     smooth = semi_global_sweep(images, rig, NUM_HYPOTHESES, MIN_DEPTH).index
     assert (smooth - 4).abs().mean() < 0.5 * (simple - 4).abs().mean()
@@ -79,17 +73,15 @@ def test_noise_harms_less_than_it_harms_the_smallest_cost_alone() -> None:
 
 def test_exposures_do_not_matter() -> None:
     rig = ring_rig(4)
-    depth = depth_from_index(torch.tensor(4.0), NUM_HYPOTHESES, MIN_DEPTH).item()
     gains = torch.tensor([1.0, 0.5, 0.8, 0.4])[:, None, None]
     offsets = torch.tensor([0.0, 0.3, -0.2, 0.1])[:, None, None]
-    images = textured_sphere(rig, depth) * gains + offsets
+    images = sphere_at(4.0, rig) * gains + offsets
     assert (semi_global_sweep(images, rig, NUM_HYPOTHESES, MIN_DEPTH).index.round() == 4).all()
 
 
 def test_a_camera_that_sees_something_else_does_no_harm() -> None:
     rig = ring_rig(3, radius=0.1, field_of_view=2 * math.pi)  # all three see everything
-    depth = depth_from_index(torch.tensor(5.0), NUM_HYPOTHESES, MIN_DEPTH).item()
-    images = textured_sphere(rig, depth)
+    images = sphere_at(5.0, rig)
     images[:, 1] = torch.rand(images[:, 1].shape, generator=torch.Generator().manual_seed(0)) * 2 - 1
     found = semi_global_sweep(images, rig, NUM_HYPOTHESES, MIN_DEPTH).index
     assert ((found - 5).abs() < 1).float().mean() > 0.95
@@ -97,8 +89,7 @@ def test_a_camera_that_sees_something_else_does_no_harm() -> None:
 
 def test_what_is_masked_does_not_count_whatever_is_in_its_place() -> None:
     rig = ring_rig(4)
-    depth = depth_from_index(torch.tensor(4.0), NUM_HYPOTHESES, MIN_DEPTH).item()
-    images = textured_sphere(rig, depth)
+    images = sphere_at(4.0, rig)
     seen = Icosphere(5).vertices[:, 0] < 0.5  # no camera on the right, so nothing is known there
     results = []
     for filling in (0.0, -1.0, 0.7):
@@ -117,8 +108,7 @@ def test_what_is_masked_does_not_count_whatever_is_in_its_place() -> None:
 
 def test_what_is_out_of_view_does_not_count_whatever_is_in_its_place() -> None:
     rig = ring_rig(4)
-    depth = depth_from_index(torch.tensor(4.0), NUM_HYPOTHESES, MIN_DEPTH).item()
-    images = textured_sphere(rig, depth)
+    images = sphere_at(4.0, rig)
     view = semi_global_tables(rig, NUM_HYPOTHESES, MIN_DEPTH, image_level=5).seen
     there, again = (
         semi_global_sweep(pictures, rig, NUM_HYPOTHESES, MIN_DEPTH)
@@ -154,8 +144,7 @@ def test_gain_and_offset_of_each_camera_leave_the_costs(generator: torch.Generat
 
 def test_gray_images_are_enough() -> None:
     rig = ring_rig(4)
-    depth = depth_from_index(torch.tensor(4.0), NUM_HYPOTHESES, MIN_DEPTH).item()
-    gray = textured_sphere(rig, depth).mean(2, keepdim=True).expand(-1, -1, 3, -1)
+    gray = sphere_at(4.0, rig).mean(2, keepdim=True).expand(-1, -1, 3, -1)
     found = semi_global_sweep(gray, rig, NUM_HYPOTHESES, MIN_DEPTH).index
     assert ((found - 4).abs() < 0.5).float().mean() > 0.98
 
@@ -164,8 +153,7 @@ def test_gray_images_are_enough() -> None:
 def test_bare_scenes_have_little_confidence(noise: float, generator: torch.Generator) -> None:
     rig = ring_rig(4)
     bare = torch.full((1, 4, 3, 10242), 0.2) + noise * torch.randn(1, 4, 3, 10242, generator=generator)
-    depth = depth_from_index(torch.tensor(4.0), NUM_HYPOTHESES, MIN_DEPTH).item()
-    clear = semi_global_sweep(textured_sphere(rig, depth), rig, NUM_HYPOTHESES, MIN_DEPTH).confidence
+    clear = semi_global_sweep(sphere_at(4.0, rig), rig, NUM_HYPOTHESES, MIN_DEPTH).confidence
     unclear = semi_global_sweep(bare, rig, NUM_HYPOTHESES, MIN_DEPTH).confidence
     assert unclear.median() < 0.3
     assert clear.median() > 0.9
@@ -206,8 +194,7 @@ def test_points_seen_by_fewer_than_two_cameras_have_no_confidence() -> None:
 
 def test_what_two_cameras_do_not_see_takes_the_depth_around_it() -> None:
     rig = ring_rig(4, field_of_view=math.radians(200))  # straight up and down is between the views
-    depth = depth_from_index(torch.tensor(4.0), NUM_HYPOTHESES, MIN_DEPTH).item()
-    found, _, seen = semi_global_sweep(textured_sphere(rig, depth), rig, NUM_HYPOTHESES, MIN_DEPTH)
+    found, _, seen = semi_global_sweep(sphere_at(4.0, rig), rig, NUM_HYPOTHESES, MIN_DEPTH)
     assert not seen.all()
     assert ((found - 4).abs() < 1).all()
 

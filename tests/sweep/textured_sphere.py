@@ -10,10 +10,14 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.icosphere import Icosphere
+from sphericalvision.sweep import depth_from_index
+
+NUM_HYPOTHESES, MIN_DEPTH = 9, 0.5
 
 
-def textured_sphere(rig: CameraRig, depth: float, level: int = 5) -> Tensor:
-    """Images ``(1, n, 3, V)`` from inside a textured sphere of radius ``depth`` around the rig."""
+def sphere_at(index: float, rig: CameraRig, level: int = 5) -> Tensor:
+    """Images ``(1, n, 3, V)`` from inside a textured sphere around the rig whose radius is that of a hypothesis."""
+    depth = min(depth_from_index(torch.tensor(float(index)), NUM_HYPOTHESES, MIN_DEPTH).item(), 1e4)
     generator = torch.Generator().manual_seed(3)
     waves = 8 * torch.randn(40, 3, generator=generator)
     phases = 2 * math.pi * torch.rand(3, 40, generator=generator)

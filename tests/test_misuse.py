@@ -65,6 +65,12 @@ def sweep() -> SphereSweep:
 
 
 @functools.cache
+def pair() -> Any:
+    """Tables of two cameras."""
+    return SphereSweep(1, 4, 0.5, 3).tables(ring_rig(2))
+
+
+@functools.cache
 def predictor() -> Predictor:
     return Predictor(rig(), method="semi_global", level=3, min_depth=0.5)
 
@@ -414,6 +420,22 @@ CrownMaxPool2d()(to_crown(torch.zeros(1, 3, 12))) -> stride: Argument
 CrownMaxPool2d()(to_crown(torch.zeros(1, 3, 4, 42))) -> crown: Shape
 # sweep: photo consistency
 photo_consistency(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, level=4) -> level: Argument
+hex_group_conv2d(torch.zeros(1, 3, 162), torch.zeros(4, 3, 6, 7)) -> values: Shape
+hex_group_conv2d(torch.zeros(1, 3, 6, 162), torch.zeros(4, 3, 7)) -> weight: Shape
+# sweep: correlation, aggregation
+correlation_evidence(IMAGES[0], pair()) -> images: Shape
+correlation_evidence(IMAGES[:, :1], pair()) -> images: Shape
+correlation_evidence(IMAGES[:, :2], pair(), SEEN[0]) -> seen: Shape
+correlation_evidence(IMAGES[:, :2], pair(), level=2) -> level: Argument
+correlation_evidence(IMAGES[:, :2], SweepTables(*(x.expand(3, *x.shape) for x in pair()))) -> tables: Shape
+Concatenation(3, 4)(SweepVolume(torch.zeros(1, 2, 3, 5, 6), torch.ones(1, 2, 5, 6) > 0)) -> volume: Shape
+sweep()(torch.zeros(1, 4, 5, 162), rig(), SEEN[:2, :162]) -> seen: Shape
+photo_consistency_share(torch.zeros(1, 2562), IMAGES, rig(), 9, 0.5) -> index: Shape
+semi_global_sweep(IMAGES[:, :2], semi_global_tables(ring_rig(2), 9, 0.5, 3, substeps=1), 8, 0.5) -> rig: Argument
+SolidAngleIoU(ico(), 2).update(LABELS + 0.5, LABELS) -> pred: Argument
+SolidAngleIoU(ico(), 2).update(LABELS, LABELS.float()) -> target: Argument
+SolidAngleIoU(ico(), 3, ignore_index=-1).update(LABELS.byte(), LABELS.byte() + 255) -> target: Argument
+ConstantDepth(3, 8, 0.5).fit(torch.ones(1, 1), torch.zeros(1, 1) > 0) -> inverse_depth: Argument
 # sweep: semi global
 semi_global_sweep(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, cost_level=4) -> level, cost_level: Argument
 # sweep: smoothing

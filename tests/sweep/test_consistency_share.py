@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from sphericalvision.cameras import ring_rig
-from sphericalvision.core import ShapeError
 from sphericalvision.sweep import photo_consistency, photo_consistency_share
 from sphericalvision.sweep.consistency_share import consistency_share
 from sphericalvision.sweep.semi_global import semi_global_tables
@@ -54,12 +53,6 @@ def test_a_share_is_reached_over_most_where_two_cameras_see() -> None:
     known[:, :, 1] = False
     torch.testing.assert_close(consistency_share(place, correlation, known), torch.tensor([0.5 / 0.8]))
     assert consistency_share(place, correlation, ~(correlation > 2) & False).isnan().all()
-
-
-def test_depth_finer_than_the_images_is_refused() -> None:
-    images = sphere_at(4.0, RIG, level=4)
-    with pytest.raises(ShapeError, match="level 4 or less"):
-        photo_consistency_share(torch.zeros(1, 10242), images, RIG, NUM_HYPOTHESES, MIN_DEPTH)
 
 
 def test_winner_takes_all_reaches_almost_all() -> None:

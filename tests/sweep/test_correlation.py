@@ -11,9 +11,8 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import Icosphere, icosphere_vertices
-from sphericalvision.sweep import SphereSweep, SweepTables, correlation_evidence, sphere_sweep
+from sphericalvision.sweep import SweepTables, correlation_evidence, sphere_sweep
 from sphericalvision.sweep.correlation import mean_of_better_half
 from sphericalvision.sweep.ring_mean import ids_of_coarser_level, ring_mean
 from sphericalvision.sweep.sweep_tables import sweep_tables
@@ -147,19 +146,3 @@ def test_coarser_vertices_stay_where_they_are() -> None:
     for coarser in range(4):
         moved = icosphere_vertices(3)[ids_of_coarser_level(3, coarser)]
         torch.testing.assert_close(moved, icosphere_vertices(coarser))
-
-
-def test_errors_name_the_argument() -> None:
-    tables = SphereSweep(level=1, num_hypotheses=4, min_depth=0.5, feature_level=2).tables(ring_rig(2))
-    images = torch.zeros(2, 2, 3, 162)
-    with pytest.raises(ShapeError, match="images"):
-        correlation_evidence(images[0], tables)
-    with pytest.raises(ShapeError, match="images"):
-        correlation_evidence(images[:, :1], tables)
-    with pytest.raises(ShapeError, match="seen"):
-        correlation_evidence(images, tables, torch.ones(162, dtype=torch.bool))
-    with pytest.raises(ArgumentError, match="level"):
-        correlation_evidence(images, tables, level=2)
-    batched = SphereSweep(1, 4, 0.5, 2).tables(CameraRig.stack([ring_rig(2)] * 3))
-    with pytest.raises(ShapeError, match="tables"):
-        correlation_evidence(images, batched)

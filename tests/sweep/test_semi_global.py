@@ -10,7 +10,6 @@ import pytest
 import torch
 
 from sphericalvision.cameras import ring_rig
-from sphericalvision.core import ArgumentError
 from sphericalvision.data import RotateFivefold
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sweep import (
@@ -205,9 +204,3 @@ def test_has_no_gradient_and_follows_the_dtype() -> None:
     index, confidence, _ = semi_global_sweep(images, rig, 4, 0.5)
     assert not index.requires_grad
     assert index.dtype == confidence.dtype == torch.float64
-
-
-def test_tables_of_other_hypotheses_are_refused() -> None:
-    tables = semi_global_tables(ring_rig(2), 9, 0.5, image_level=3, substeps=1)
-    with pytest.raises(ArgumentError, match="tables for 8 hypotheses"):
-        semi_global_sweep(torch.zeros(1, 2, 3, 642), tables, 8, 0.5)

@@ -12,9 +12,9 @@ from sphericalvision.crown.conv import CrownConv2d, CrownConv3d, convolve_crown
 from sphericalvision.crown.fast import normalize_and_convolve
 from sphericalvision.crown.layout import Crown, check_crown, from_crown, to_crown
 from sphericalvision.crown.norm import _CrownBatchNorm, crown_norm
-from sphericalvision.crown.places import check_values
 from sphericalvision.crown.recompute import RecomputedModule
 from sphericalvision.kernels import Operator
+from sphericalvision.shapes import check_shapes
 
 __all__ = ["CrownBlock3d", "CrownConvNorm2d", "CrownConvNorm3d", "convolve_twice", "crown_block3d"]
 
@@ -128,6 +128,7 @@ _convolve_twice = Operator(
 )
 
 
+@check_shapes
 def crown_block3d(
     volume: Float[Tensor, "B C_in N V"],
     first: CrownConvNorm3d,
@@ -156,7 +157,6 @@ def crown_block3d(
         >>> crown_block3d(torch.rand(1, 2, 8, 42), *layers).shape
         torch.Size([1, 1, 8, 42])
     """
-    check_values(volume, 3)
     channels = first.conv.weight.shape[1]
     check_dtype("volume", volume, first.conv.weight)
     if volume.shape[1] != channels:

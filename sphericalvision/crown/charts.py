@@ -21,9 +21,10 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.crown.places import check_values, own_charts
+from sphericalvision.crown.places import own_charts
 from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.topology import chart_vertex_ids
+from sphericalvision.shapes import check_shapes
 from sphericalvision.tables import constant_table
 
 __all__ = ["chart_vertices", "fill_charts", "hex_pad", "ring_ids", "ring_table", "ring_values"]
@@ -110,7 +111,10 @@ def chart_vertices(level: int, device: torch.device) -> Int[Tensor, "5 rows colu
     return padded
 
 
-def hex_pad(values: Float[Tensor, "B C *N V"]) -> Float[Tensor, "B 5 C *N rows columns"]:
+@check_shapes
+def hex_pad(
+    values: Float[Tensor, "B C V"] | Float[Tensor, "B C N V"],
+) -> Float[Tensor, "B 5 C *N rows columns"]:
     """Return the charts of values with their true neighbours around.
 
     Args:
@@ -130,7 +134,7 @@ def hex_pad(values: Float[Tensor, "B C *N V"]) -> Float[Tensor, "B 5 C *N rows c
                 [ 1.,  4., 11.],
                 [ 2.,  2.,  0.]])
     """
-    vertices = chart_vertices(check_values(values), values.device)
+    vertices = chart_vertices(level_from_num_vertices(values.shape[-1]), values.device)
     # All channels of a vertex in a row, which are read at once; of all samples and hypotheses one below the other.
     rows = values.movedim(1, -1)
     *batch, size, channels = rows.shape

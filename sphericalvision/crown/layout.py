@@ -18,7 +18,8 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentTypeError, ShapeError, check_floating
 from sphericalvision.crown.fast import fold, unfold
-from sphericalvision.crown.places import check_values, level_of_rectangles
+from sphericalvision.crown.places import level_of_rectangles
+from sphericalvision.shapes import check_shapes
 
 __all__ = ["Crown", "crown_map", "crown_relu", "exchange", "from_crown", "to_crown"]
 
@@ -78,7 +79,8 @@ def check_crown(crown: Crown, spatial_dims: int | None = None) -> None:
         )
 
 
-def to_crown(values: Num[Tensor, "B C *N V"]) -> Crown:
+@check_shapes
+def to_crown(values: Num[Tensor, "B C V"] | Num[Tensor, "B C N V"]) -> Crown:
     """Lay values on an icosphere out as a crown; its level follows from the number of vertices.
 
     Args:
@@ -97,7 +99,6 @@ def to_crown(values: Num[Tensor, "B C *N V"]) -> Crown:
                 [ 1.,  4.],
                 [ 2., 11.]])
     """
-    check_values(values)
     return Crown(*unfold(values))
 
 

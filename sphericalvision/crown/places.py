@@ -7,29 +7,18 @@ import torch
 from jaxtyping import Float, Int, Num, Shaped
 from torch import Tensor
 
-from sphericalvision.core import ShapeError, check_tensor
 from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.topology import chart_vertex_ids, vertex_at
 from sphericalvision.tables import constant_table
 
 __all__ = [
     "as_rectangles",
-    "check_values",
     "level_of_rectangles",
     "mean_over_places",
     "own_charts",
     "place_ids",
     "values_at_places",
 ]
-
-
-def check_values(values: Shaped[Tensor, "B C *N V"], spatial_dims: int | None = None) -> int:
-    """Return the level of values on an icosphere or raise ``ShapeError`` unless they are ``(B, C, [N,] V)``."""
-    check_tensor("values", values, "(B, C, V) or (B, C, N, V)")
-    if values.ndim not in (3, 4) or (spatial_dims is not None and values.ndim != spatial_dims + 1):
-        expected = {None: "(B, C, V) or (B, C, N, V)", 2: "(B, C, V)", 3: "(B, C, N, V)"}[spatial_dims]
-        raise ShapeError(f"values: expected shape {expected}, got {tuple(values.shape)}")
-    return level_from_num_vertices(values.shape[-1])
 
 
 def level_of_rectangles(col: Shaped[Tensor, "*batch long short"]) -> int:

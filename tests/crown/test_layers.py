@@ -91,22 +91,6 @@ def test_taps_are_the_neighbours_on_the_sphere_in_turn() -> None:
             assert turn == 5  # clockwise from outside, counter-clockwise from inside, as panoramas are seen
 
 
-def test_convolution_of_all_ones_keeps_a_constant() -> None:
-    crown = to_crown(torch.full((1, 1, 642), 3.0))
-    result = crown_conv2d(crown, torch.full((1, 1, 7), 1 / 7))
-    torch.testing.assert_close(from_crown(result), torch.full((1, 1, 642), 3.0))
-
-
-def test_stride_keeps_the_coarser_vertices() -> None:
-    from sphericalvision.icosphere.topology import coarse_vertex_ids
-
-    values = random_values(1, 2, 162)
-    identity = torch.zeros(2, 2, 7, dtype=torch.float64)
-    identity[[0, 1], [0, 1], 6] = 1
-    coarse = from_crown(crown_conv2d(to_crown(values), identity, stride=2))
-    torch.testing.assert_close(coarse, values[..., coarse_vertex_ids(2)])
-
-
 @pytest.mark.parametrize(("norm", "sizes"), [(CrownBatchNorm2d, ()), (CrownBatchNorm3d, (4,))])
 def test_batch_norm_is_one_norm_over_all_places(norm: type[nn.Module], sizes: tuple[int, ...]) -> None:
     """Against torch's own layer fed with all places in a row, in training and in evaluation."""

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from sphericalvision.crown import (
     Crown,
     crown_relu,
-    exchange,
     from_crown,
     to_crown,
 )
@@ -93,15 +92,6 @@ def test_from_crown_is_the_mean_over_places(level: int, channels: tuple[int, ...
     torch.testing.assert_close(from_crown(crown), expected)
     assert len(places[0]) == len(places[-1]) == 10
     assert min(map(len, places)) >= 2
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_exchange_is_a_projection(dtype: torch.dtype) -> None:
-    once = exchange(random_crown(2, 3, 4, dtype=dtype))
-    twice = exchange(once)
-    torch.testing.assert_close(once.col, twice.col)
-    torch.testing.assert_close(once.row, twice.row)
-    assert once.col.dtype == dtype
 
 
 def test_addition_and_relu() -> None:

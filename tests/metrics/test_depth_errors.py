@@ -62,13 +62,6 @@ def test_thresholds_are_strict() -> None:
     assert errors[">5"] == 25.0
 
 
-def test_means_are_over_images_not_over_points() -> None:
-    metric = DepthIndexError(num_hypotheses=100)
-    mask = torch.tensor([[True, False, False], [True, True, True]])
-    metric.update(torch.tensor([[4.0, 9.0, 9.0], [0.0, 0.0, 0.0]]), torch.zeros(2, 3), mask)
-    assert metric.compute()["MAE"].item() == pytest.approx(2.0)  # over points it would be 1
-
-
 def test_solid_angle_weights_integrate_over_the_sphere() -> None:
     """The mean of |y| over the sphere is 1/2, and of y squared 1/3."""
     grid = Icosphere(5, torch.float64)

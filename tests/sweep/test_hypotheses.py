@@ -83,7 +83,3 @@ def test_every_index_has_a_positive_finite_depth(number: int, nearest: float, ki
         assert (found > 0).all()
         assert found.dtype == (DOUBLE if kind == DOUBLE else torch.float32)
     assert depth_from_index(torch.tensor(torch.nan), number, nearest).isnan()
-
-
-def test_closer_than_the_smallest_depth_is_not_clamped() -> None:
-    assert index_from_depth(torch.tensor(0.25), 11, 0.5).item() == pytest.approx(20, abs=1e-4)

@@ -59,14 +59,6 @@ def test_equals_loops_over_cameras_and_hypotheses(generator: torch.Generator, fe
     )  # points at "infinity" are 8 388 608 m away
 
 
-def test_out_of_view_is_zero_and_masked(generator: torch.Generator) -> None:
-    rig = random_rig(generator, field_of_view=math.pi / 2)
-    values, mask = SphereSweep(3, 4, 0.5)(torch.ones(1, 3, 2, 642, dtype=DOUBLE), rig)
-    assert 0.05 < mask.double().mean() < 0.3  # a quarter-turn cap is 15 % of the sphere
-    expected = mask[:, :, None].double().expand_as(values)
-    torch.testing.assert_close(values, expected)  # interpolation keeps constants
-
-
 def test_convention_depth_is_along_the_ray() -> None:
     """A mark 2 m from the rig's centre, along a ray, is found at the hypothesis of 2 m."""
     rig = ring_rig(4, field_of_view=2 * math.pi).to(dtype=DOUBLE)

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 import torch
 
@@ -115,10 +113,8 @@ def test_upsampling_is_linear_interpolation(level: int, generator: torch.Generat
     assert torch.equal(finer[:, coarse.finer().coarse_ids], values)
 
 
-def test_gradients(generator: torch.Generator) -> None:
+def test_the_largest_value_has_the_gradient_of_a_maximum(generator: torch.Generator) -> None:
     values = torch.randn(2, 42, generator=generator, dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(icosphere_pool, values)
-    assert torch.autograd.gradcheck(icosphere_upsample, values)
     (gradient,) = torch.autograd.grad(icosphere_pool(values, "max").sum(), values)
     assert gradient.sum().item() == pytest.approx(2 * 12)
 
@@ -135,17 +131,6 @@ def test_to_the_subdivision_order_and_back() -> None:
     assert torch.equal(from_subdivision_order(to_subdivision_order(values)), values)
     assert torch.equal(to_subdivision_order(from_subdivision_order(values)), values)
     assert torch.equal(values[0, Icosphere(3).subdivision_order], from_subdivision_order(values)[0])
-
-
-@pytest.mark.parametrize(
-    "make", [IcospherePool, lambda level: IcospherePool(level, "max"), IcosphereUpsample]
-)
-def test_modules_compile_and_export_whole(make: Callable[[int], torch.nn.Module]) -> None:
-    module, values = make(2), torch.rand(2, 3, 162)
-    compiled = torch.compile(module, fullgraph=True, backend="eager")
-    assert torch.equal(compiled(values), module(values))
-    exported = torch.export.export(module, (values,)).module()
-    assert torch.equal(exported(values), module(values))
 
 
 def test_bad_arguments_are_named() -> None:

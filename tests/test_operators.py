@@ -151,9 +151,7 @@ def test_every_mode_of_kernels_gives_the_numbers_of_the_reference(name: str) -> 
             assert_same(call(name, Inputs("cpu")), expected, 1e-4)
 
 
-@names(
-    crown, geometry, icosphere, losses, metrics, sphere, sweep, without=f"{TABLES} DepthHint cube_from_layout"
-)
+@names(crown, losses, metrics, sweep, without=f"{TABLES} DepthHint")
 def test_an_array_of_numpy_in_place_of_a_tensor_is_a_type_error(name: str) -> None:
     inputs = Inputs("cpu")
     call(name, inputs)

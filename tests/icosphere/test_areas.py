@@ -64,13 +64,6 @@ def test_areas_of_the_icosahedron_are_equal() -> None:
         )
 
 
-def test_normals_of_the_sphere_point_outwards() -> None:
-    vertices = icosphere_vertices(4, torch.float64)
-    normals = icosphere_normals(torch.stack((2 * vertices, vertices)))
-    torch.testing.assert_close(normals.norm(dim=-1), torch.ones(2, 2562, dtype=torch.float64))
-    assert ((normals * vertices).sum(-1) > 0.9999).all()
-
-
 def test_normals_equal_those_of_trimesh(generator: torch.Generator) -> None:
     depth = 1 + 0.2 * torch.rand(162, 1, generator=generator, dtype=torch.float64)
     points, faces = depth * icosphere_vertices(2, torch.float64), icosphere_faces(2)
@@ -80,15 +73,6 @@ def test_normals_equal_those_of_trimesh(generator: torch.Generator) -> None:
         expected[corners] += area * normal
     expected /= np.linalg.norm(expected, axis=1, keepdims=True)
     torch.testing.assert_close(icosphere_normals(points), torch.from_numpy(expected))
-
-
-def test_normals_turn_with_the_points(generator: torch.Generator) -> None:
-    points = icosphere_vertices(2, torch.float64) * (
-        1 + 0.1 * torch.rand(162, 1, generator=generator, dtype=torch.float64)
-    )
-    turn, _ = torch.linalg.qr(torch.randn(3, 3, generator=generator, dtype=torch.float64))
-    turn = turn * torch.linalg.det(turn)
-    torch.testing.assert_close(icosphere_normals(points @ turn.T), icosphere_normals(points) @ turn.T)
 
 
 def test_points_at_infinity_leave_their_triangles_out() -> None:

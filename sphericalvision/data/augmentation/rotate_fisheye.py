@@ -11,7 +11,8 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, Remap
 from sphericalvision.cameras.rig import check_images_of
-from sphericalvision.core import ArgumentError, ShapeError, check_choice
+from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere.intake import pixels_seen
 
 __all__ = ["RotateFisheye"]
@@ -56,6 +57,7 @@ class RotateFisheye:
         0.62
     """
 
+    @check_shapes
     def __init__(
         self,
         tilt: float | Tensor = 0.0,
@@ -64,8 +66,6 @@ class RotateFisheye:
         mode: str = "area",
     ) -> None:
         check_choice("mode", mode, ("area", "bilinear"))
-        if rotation is not None and tuple(rotation.shape[-2:]) != (3, 3):
-            raise ShapeError(f"rotation: expected shape (3, 3) or (n, 3, 3), got {tuple(rotation.shape)}")
         self.tilt, self.rotation, self.image_size, self.mode = tilt, rotation, image_size, mode
         self._before: CameraRig | None = None
         self._after: CameraRig | None = None

@@ -168,14 +168,12 @@ def _pictures(
         raise ArgumentError(f"samples_per_pixel: expected at least 1, got {samples_per_pixel}")
     poses = world_from_camera.to(scene.device, torch.float32)
     height, width = camera.image_size
-    down, across = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
-    centers = torch.stack([across, down], -1).float()
     squares = _squares(height, width).to(scene.device)
     total = torch.zeros(len(poses), 3, height * width, device=scene.device)
     count = torch.zeros(height * width, device=scene.device)
     sample = torch.zeros_like(total)
     for offset in _stratified(samples_per_pixel):
-        seen = camera.unproject(centers + offset)
+        seen = camera.unproject(camera.pixel_grid(torch.float32) + offset)
         valid = seen.valid.flatten().to(scene.device)
         local = seen.directions.to(scene.device, torch.float32)
         pixels = _seen(squares, valid)

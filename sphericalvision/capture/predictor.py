@@ -304,8 +304,10 @@ class Predictor:
         return pipeline.inputs(colors, self.preparation)[0], pipeline.intake.seen
 
     def __repr__(self) -> str:
-        near = "nearest depth still to be found" if self.min_depth is None else f"from {self.min_depth:.3g} m"
-        return f"Predictor({type(self._network).__name__}, {near}, {self.rig})"
+        start = (
+            "nearest depth still to be found" if self.min_depth is None else f"from {self.min_depth:.3g} m"
+        )
+        return f"Predictor({type(self._network).__name__}, {start}, {self.rig})"
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if name != "_lock"}

@@ -117,13 +117,13 @@ class SplatScene:
         if frame not in moments:  # the rig is no window
             moments = {frame: depth.rig.names}
         order = list(moments)
-        middle = order.index(frame)
+        position = order.index(frame)
         if not self._frames:
             self._origin = depth.rig.to("cpu").origin
-            for moment in order[:middle]:
+            for moment in order[:position]:
                 self._add_moment(moment, moments[moment], depth)
         self._add_moment(frame, moments[frame], depth)
-        self._behind = {moment: (moments[moment], depth) for moment in order[middle + 1 :]}
+        self._behind = {moment: (moments[moment], depth) for moment in order[position + 1 :]}
 
     def _add_moment(self, frame: str, moment: list[str], depth: Depth) -> None:
         """Write images and maps of the cameras of one moment of a rig."""

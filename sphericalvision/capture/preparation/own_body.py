@@ -132,9 +132,11 @@ def find_own_body(
     if len(views) < FEWEST:
         number = f"{len(views)} different view(s) of {len(samples)} frame(s), at least {FEWEST} are needed"
         return _nothing(rig, len(views), f"{number}: the rig must move")
-    places = len(_different(samples, cameras, OTHER_PLACE))
-    if places < FEWEST_PLACES:
-        number = f"half of the images changed {places - 1} time(s), at least {FEWEST_PLACES - 1} are needed"
+    num_positions = len(_different(samples, cameras, OTHER_PLACE))
+    if num_positions < FEWEST_PLACES:
+        number = (
+            f"half of the images changed {num_positions - 1} time(s), at least {FEWEST_PLACES - 1} are needed"
+        )
         return _nothing(rig, len(views), f"{number}: the rig must move farther, and turn")
     for name, view in cameras.items():
         view.look(np.stack([images[name] for images in views]))

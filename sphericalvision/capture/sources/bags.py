@@ -293,16 +293,16 @@ def _topics(
 def _topics_named(topics: Sequence[str], name: str) -> list[str]:
     """Topics with a camera's name between slashes; where there are none, those with its words, ``/cam_front/image``."""
     exact = [topic for topic in topics if name in topic.split("/")]
-    words = _words(name)
-    count = len(words)
+    tokens = _tokens(name)
+    count = len(tokens)
     return exact or [
         topic
         for topic in topics
-        if any(words == _words(topic)[at : at + count] for at in range(len(_words(topic)) - count + 1))
+        if any(tokens == _tokens(topic)[at : at + count] for at in range(len(_tokens(topic)) - count + 1))
     ]
 
 
-def _words(name: str) -> list[str]:
+def _tokens(name: str) -> list[str]:
     return re.findall(r"[a-z]+|\d+", name.lower())
 
 

@@ -37,6 +37,8 @@ __all__ = ["OUTPUTS", "WRITERS", "Writer", "read_shares"]
 
 CONSISTENCY = "consistency.csv"
 CONSISTENCY_HEADER = "frame,photo_consistency"
+FEW = 0.01
+"""Fraction of the cubes of the fused cloud: frames that agree on fewer do not show one place."""
 
 
 class Writer:
@@ -369,9 +371,11 @@ class FusedWriter(Writer):
         if (fused := self.results.fused) is None:
             return []
         count = len(fused.points().points)
+        is_few = count <= FEW * len(fused)
+        doubt = "; these are few: do the frames show one place? If so, set a larger voxel=" if is_few else ""
         return [
             f"fused: {count} points of {len(fused.frames)} frame(s), one for each cube of {100 * fused.side:.1f} cm "
-            f"that frames agree on, of {len(fused)}{'' if count else '; a larger voxel= has some'}"
+            f"that frames agree on, of {len(fused)}{doubt}"
         ]
 
 

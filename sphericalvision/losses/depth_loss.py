@@ -39,9 +39,6 @@ def depth_index_huber(
         sample with few known points counts as much as one with many. A sample with an empty mask has 0, with zero
         gradients.
 
-    Raises:
-        ShapeError: if the shapes differ.
-
     References:
         Huber (1964), "Robust estimation of a location parameter".
 

@@ -39,7 +39,6 @@ def depth_index_error(
         The five errors ``(B,)``; NaN for an image without a valid point.
 
     Raises:
-        ShapeError: if shapes do not agree.
         ArgumentError: if ``num_hypotheses`` is not positive, or a weight that counts is negative or not finite.
 
     References:
@@ -90,7 +89,6 @@ def depth_error(
         The three errors ``(B,)``; NaN for an image without a valid point.
 
     Raises:
-        ShapeError: if shapes do not agree.
         ArgumentError: if ``max_depth`` is not positive, or a weight that counts is negative or not finite.
 
     References:

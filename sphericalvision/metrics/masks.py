@@ -51,7 +51,6 @@ def evaluation_mask(
         image without any).
 
     Raises:
-        ShapeError: if shapes do not agree.
         ArgumentError: if ``least_cameras`` is below 1.
 
     References:
@@ -92,7 +91,6 @@ def seam_mask(
         ``(*)`` bool.
 
     Raises:
-        ShapeError: if the last dimension is not 3.
         ArgumentError: if the angle is out of range or the seams are unknown.
 
     Examples:

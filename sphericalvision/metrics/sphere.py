@@ -32,9 +32,6 @@ def angular_error(
     Returns:
         ``(*)`` from 0 to π, exact for small angles too; NaN where either is zero or not finite.
 
-    Raises:
-        ShapeError: if the last dimension is not 3.
-
     Examples:
         >>> angular_error(torch.tensor([2.0, 0.0, 0.0]), torch.tensor([0.0, 0.0, 1.0]))
         tensor(1.5708)

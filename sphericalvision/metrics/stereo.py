@@ -34,7 +34,6 @@ def stereo_error(
         The three errors ``(B,)``; NaN for an image without a valid point.
 
     Raises:
-        ShapeError: if shapes do not agree.
         ArgumentError: if a weight that counts is negative or not finite.
 
     References:
@@ -72,9 +71,6 @@ def left_right_error(
 
     Returns:
         ``{"LRCE": (B,)}``; NaN for an image without such a row.
-
-    Raises:
-        ShapeError: if these are no images of one shape.
 
     References:
         M. Zayene et al., "Helvipad: a real-world dataset for omnidirectional stereo depth estimation", CVPR 2025.

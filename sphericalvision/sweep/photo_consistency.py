@@ -65,7 +65,6 @@ def photo_consistency(
         and where two cameras see the point at any hypothesis.
 
     Raises:
-        ShapeError: if the images have another shape.
         ArgumentError: if the level is above the images', or the aggregation is negative.
 
     References:

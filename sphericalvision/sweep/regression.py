@@ -61,9 +61,6 @@ def soft_argmax(logits: Float[Tensor, "*batch N V"]) -> Float[Tensor, "*batch V"
     The probability of a hypothesis is the softmax of the scores over all hypotheses: a higher score is more
     likely. Computed in float32 at least, also under autocast and of scores in half precision, and returned so.
 
-    Raises:
-        ShapeError: if there are fewer than two dimensions.
-
     References:
         Kendall et al. (2017), "End-to-end learning of geometry and context for deep stereo regression", eq.
         1.

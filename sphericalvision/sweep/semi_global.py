@@ -113,7 +113,6 @@ def semi_global_sweep(
         nearest tried hypothesis, without which the confidence is 0. None has a gradient.
 
     Raises:
-        ShapeError: if the images have another shape.
         ArgumentError: if a level is above the images', the result's above the costs', or an option is out of
             its range.
 

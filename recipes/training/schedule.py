@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Learning rates of several parts, each one of torch's schedulers: their product, or one after the other."""
+"""A learning rate that is the product of several of torch's schedulers."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 from torch.optim import Optimizer
-from torch.optim.lr_scheduler import ChainedScheduler, CosineAnnealingLR, LRScheduler, SequentialLR
+from torch.optim.lr_scheduler import ChainedScheduler, LRScheduler
 
 from sphericalvision.core import ArgumentError
 
-__all__ = ["chained", "cosine_between", "progress_only", "sequential"]
+__all__ = ["chained", "progress_only"]
 
 Part = Callable[[Optimizer], LRScheduler]
 """One of torch's schedulers that waits for its optimiser, as ``_partial_: true`` makes it."""
@@ -36,33 +36,6 @@ def chained(optimizer: Optimizer, **parts: Part) -> ChainedScheduler:
             "scheduler: expected named parts, each a scheduler with _partial_: true, got none"
         )
     return ChainedScheduler([part(optimizer) for part in parts.values()], optimizer)
-
-
-def sequential(optimizer: Optimizer, milestones: Sequence[int], **parts: Part) -> SequentialLR:
-    """``torch.optim.lr_scheduler.SequentialLR`` of named parts: each takes over at its milestone."""
-    if len(parts) != len(milestones) + 1:
-        raise ArgumentError(
-            f"scheduler.milestones: expected an iteration between any two parts ({', '.join(parts)}), "
-            f"got {list(milestones)}"
-        )
-    return SequentialLR(optimizer, [part(optimizer) for part in parts.values()], list(milestones))
-
-
-def cosine_between(optimizer: Optimizer, begin: int, end: int, eta_min: float = 0.0) -> CosineAnnealingLR:
-    """``torch.optim.lr_scheduler.CosineAnnealingLR`` that begins and ends at iterations of the whole training.
-
-    Examples:
-        >>> import torch
-        >>> optimizer = torch.optim.SGD([torch.nn.Parameter(torch.zeros(1))], lr=1.0)
-        >>> cosine_between(optimizer, begin=100, end=1000).T_max
-        900
-    """
-    if end <= begin:
-        raise ArgumentError(
-            f"scheduler.cosine: expected an end after iteration {begin}, where it begins, got {end}; train for more "
-            "iterations (trainer.max_steps) or warm up for fewer (scheduler.milestones)"
-        )
-    return CosineAnnealingLR(optimizer, end - begin, eta_min)
 
 
 def progress_only(state: dict[str, Any]) -> dict[str, Any]:

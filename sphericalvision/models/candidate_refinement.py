@@ -10,7 +10,6 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError
 from sphericalvision.crown import HexConv2d
 from sphericalvision.icosphere import (
     icosphere_neighbors,
@@ -82,20 +81,15 @@ class CandidateRefinement(nn.Module):
         state: channels of ``FusedLogits``.
         width: channels of the convolutions.
         blocks: residual blocks.
-        colors: of how many candidates it sees what cameras see there: of all 4, or of 3, not of the mean. Where the
-            mean is a depth of something, the nearest and the farthest are close to it.
 
     References:
         Bleyer et al. (2011), "PatchMatch stereo", for candidates from the surroundings; Tankovich et al. (2021),
         "HITNet: hierarchical iterative tile refinement network".
     """
 
-    def __init__(self, state: int, width: int = 16, blocks: int = 1, colors: int = 4) -> None:
+    def __init__(self, state: int, width: int = 16, blocks: int = 1) -> None:
         super().__init__()
-        if colors not in {3, 4}:
-            raise ArgumentError(f"colors: expected those of 3 or 4 candidates, got {colors!r}")
-        self.colors = colors
-        self.entry = HexConv2d(state + 2 * 4 + 2 * colors + 7, width, bias=True)
+        self.entry = HexConv2d(state + 4 * 4 + 7, width, bias=True)
         self.block = nn.Sequential(*(HexResidualBlock(width) for _ in range(blocks)))
         self.exit = HexConv2d(width, 4 + 3, bias=True)
         with torch.no_grad():
@@ -113,22 +107,20 @@ class CandidateRefinement(nn.Module):
 
         Args:
             candidates: of ``candidates_of``.
-            appearance: what cameras see at the last of them, K = colors.
+            appearance: what cameras see at each of them, K = 4.
             state: ``(B, S, V_coarse)`` one level coarser.
             num_hypotheses: N.
         """
         index, likely, step, spread = candidates
         color, deviation, cameras = appearance
-        # The last three candidates are the nearest, the farthest and the second best. The mean, where it is looked at,
-        # is the first.
-        nearest, farthest = color[:, -3], color[:, -2]
+        _, nearest, farthest, _ = color.unbind(1)
         mean = index[:, :1]
         entries = (
             ((index - mean) / 4).detach().clamp(-2, 2),
             3 * deviation,
             cameras / 4,
             likely,
-            color[:, 0] if self.colors == 4 else (nearest + farthest) / 2,
+            color[:, 0],
             (nearest - farthest).abs().mean(1, keepdim=True),
             mean.detach() / num_hypotheses,
             step[:, None] / 4,
@@ -140,8 +132,6 @@ class CandidateRefinement(nn.Module):
         # A mean of candidates by their weights, not the best one: weights are what has a gradient.
         weights = scores.softmax(1)
         chosen = ((weights * index).sum(1) + correction).clamp(0, num_hypotheses - 1)
-        if self.colors == 3:
-            cameras = torch.cat((cameras[:, :2].amin(1, keepdim=True), cameras), 1)
         seen = cameras.gather(1, weights.max(1, keepdim=True).indices).squeeze(1) >= 2
         with torch.no_grad():  # what the next finer level may still choose, where this choice is wrong
             others = weights.masked_fill((index - chosen[:, None]).abs() < 1, -1.0)

@@ -128,8 +128,6 @@ class RefinedSweepNet(DepthNetwork):
         widths: channels of the fusion's U-Net at each level, from ``coarse_level`` on.
         blocks: residual blocks of the U-Net, one number or one a level.
         refining_blocks: residual blocks of the refinement.
-        refining_colors: of how many of its four candidates the refinement sees what cameras see, see
-            ``CandidateRefinement``.
         coarse_level: of clues and fusion, at most ``level - 1``, which it is when not given.
 
     Raises:
@@ -161,7 +159,6 @@ class RefinedSweepNet(DepthNetwork):
         widths: Sequence[int] = (32, 48, 64, 96, 96),
         blocks: int | Sequence[int] = (1, 2, 2, 3, 3),
         refining_blocks: int = 2,
-        refining_colors: int = 4,
         coarse_level: int | None = None,
     ) -> None:
         if not widths:
@@ -182,7 +179,7 @@ class RefinedSweepNet(DepthNetwork):
         scale = {"level": self.coarse_level + 1, "num_hypotheses": inner_hypotheses, "min_depth": min_depth}
         self.prior = IcoSweepNet(**{**(PRIOR if prior is None else prior), **scale})
         self.fusion = LogitFusion(inner_hypotheses, tuple(widths), STATE, blocks)
-        self.refinement = CandidateRefinement(STATE, blocks=refining_blocks, colors=refining_colors)
+        self.refinement = CandidateRefinement(STATE, blocks=refining_blocks)
         self.register_buffer("up", -icosphere_vertices(self.coarse_level)[:, 1], persistent=False)
 
     @classmethod
@@ -319,8 +316,7 @@ class RefinedSweepNet(DepthNetwork):
             hints = [None if hint is None else hint.trusted(trust) for hint in hints]
         for number, (images, seen) in enumerate(views):
             candidates = candidates_of(fused, modes, None if hints is None else hints[number])
-            looked_at = candidates.index[:, -self.refinement.colors :]
-            appearance = self._appearance(looked_at, images, seen, offsets)
+            appearance = self._appearance(candidates.index, images, seen, offsets)
             refined: RefinedIndex = self.refinement(
                 candidates, appearance, fused.state, self.inner_hypotheses
             )

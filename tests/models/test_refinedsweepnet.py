@@ -107,33 +107,6 @@ def test_more_levels_are_more_steps_with_the_same_weights(net, frame):
     assert answer.seen.shape == (1, 2562)
 
 
-def test_refinement_does_without_the_colors_of_the_mean(net, frame, monkeypatch):
-    """It asks the cameras at three depths, and learns as it does of four."""
-    images, rig, seen, true = frame
-    of_three = RefinedSweepNet(**{**net.hyperparameters, "refining_colors": 3}).eval()
-    other_shape = "refinement.entry.weight"
-    of_three.load_state_dict({**net.state_dict(), other_shape: of_three.state_dict()[other_shape]})
-    asked = []
-    appearance = RefinedSweepNet._appearance
-
-    def spy(self, index, *more):
-        asked.append(index.shape[1])
-        return appearance(self, index, *more)
-
-    monkeypatch.setattr(RefinedSweepNet, "_appearance", spy)
-    with torch.inference_mode():
-        ours, theirs = (one.predict(images, rig, seen) for one in (net, of_three))
-    assert asked == [1, 4, 1, 3]  # at the start of the fusion, and at the candidates
-    # Before training both answer with the mean; a point of it is seen if it is at the nearest and the farthest.
-    torch.testing.assert_close(ours.index, theirs.index)
-    assert (ours.seen == theirs.seen).float().mean() > 0.95
-    arguments = (images, rig, seen, true.clamp(max=15), true <= 15, depth_index_huber)
-    of_three.training_loss(*arguments).backward()
-    assert of_three.refinement.exit.weight.grad.abs().sum() > 0
-    with pytest.raises(ArgumentError, match=r"colors: expected those of 3 or 4"):
-        RefinedSweepNet(refining_colors=2)
-
-
 def test_shipped_weights_repeat_their_step_at_finer_levels():
     """And sweep no finer: their coarse stages stay at level 5, or below the images where these are coarser."""
     coarse = [pretrained("refinedsweepnet").with_changes(level=level).coarse_level for level in (5, 6, 7, 8)]

@@ -36,7 +36,6 @@ def module() -> DepthModule:
         LEVEL,
         widths=(4,) * 3,
         blocks=1,
-        refining_colors=3,
         prior={**PRIOR, "feature_channels": 4},
     )
     adamw = partial(torch.optim.AdamW, foreach=True)  # as it is by itself on a GPU

@@ -168,8 +168,8 @@ def test_training_starts_from_weights_of_another_level(
 def test_weights_of_other_sizes_are_refused_by_what_differs(tmp_path: Path) -> None:
     weights = tmp_path / "other.safetensors"
     save_weights(RefinedSweepNet(5, widths=(4, 4), blocks=1, prior={**PRIOR}), weights)
-    with pytest.raises(ArgumentError, match=r"set model\.refining_colors=4 or take other weights$"):
-        initialize(RefinedSweepNet(5, widths=(4, 4), blocks=1, refining_colors=3), weights)
+    with pytest.raises(ArgumentError, match=r"set model\.refining_blocks=2 or take other weights$"):
+        initialize(RefinedSweepNet(5, widths=(4, 4), blocks=1, refining_blocks=1), weights)
 
 
 def test_resuming_another_network_is_refused(

@@ -19,7 +19,7 @@ from sphericalvision.icosphere import (
 from sphericalvision.icosphere.hierarchy import icosphere_vertex_parents
 from sphericalvision.models.hexunet import HexResidualBlock
 from sphericalvision.models.hint_gate import HintedIndex
-from sphericalvision.models.logit_fusion import FusedLogits
+from sphericalvision.models.logit_fusion import FusedLogits, camera_clue
 from sphericalvision.models.tried_hypotheses import tried_index, two_modes
 from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth
 from sphericalvision.tables import constant_table
@@ -118,7 +118,7 @@ class CandidateRefinement(nn.Module):
         entries = (
             ((index - mean) / 4).detach().clamp(-2, 2),
             3 * deviation,
-            cameras / 4,
+            camera_clue(cameras),
             likely,
             color[:, 0],
             (nearest - farthest).abs().mean(1, keepdim=True),

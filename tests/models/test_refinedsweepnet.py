@@ -107,6 +107,29 @@ def test_more_levels_are_more_steps_with_the_same_weights(net, frame):
     assert answer.seen.shape == (1, 2562)
 
 
+def test_more_cameras_than_rigs_of_the_training_had_count_as_these(net, frame, monkeypatch):
+    """Layers meet no number that they have not learned from: six, twenty and sixty are one to them."""
+    images, rig, seen, _ = frame
+    tables = net.tables(rig)
+    with torch.inference_mode():
+        clues, views = net.clues(images, tables, seen), net.views(images, seen)
+        appearance = net._appearance
+        answers = []
+        for count in (6, 20, 60, 2):
+            monkeypatch.setattr(
+                net,
+                "_appearance",
+                lambda *x, n=count: appearance(*x)._replace(cameras=n * torch.ones_like(x[0])),
+            )
+            many = clues._replace(cameras=count * torch.ones_like(clues.cameras))
+            fused = net.fuse(many, images, seen, tables.offsets)
+            answers.append((fused.logits, fused.state, *net.refinements(fused, views, tables.offsets)[-1]))
+    six, *more, two = answers
+    for answer in more:
+        assert all(map(torch.equal, answer, six))
+    assert not torch.equal(two[1], six[1])
+
+
 def test_shipped_weights_repeat_their_step_at_finer_levels():
     """And sweep no finer: their coarse stages stay at level 5, or below the images where these are coarser."""
     coarse = [pretrained("refinedsweepnet").with_changes(level=level).coarse_level for level in (5, 6, 7, 8)]

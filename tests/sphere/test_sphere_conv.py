@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Convolutions in tangent planes against gnomonic taps laid out by hand, and the laws of a sphere without borders."""
+"""Convolutions in tangent planes against gnomonic taps laid out by hand, in every way that they are computed."""
 
 from __future__ import annotations
 

@@ -16,6 +16,7 @@ from tests.recipes.tiny import TINY_TRAINING, composed
 RIG = "calibration=capture/config.yaml"
 
 X = f"{RIG} images=x"
+SWEEP_ALONE = "models.icosweepnet=null models.omnimvs=null models.constant=null data.samples_per_pixel=1"
 EACH = f"{RIG} images={{camera}}.png"
 PANORAMAS = "rig=equirect4 rig.image_size=[16,32] height=16 samples_per_pixel=1"
 
@@ -53,13 +54,20 @@ WRONG_VALUES = (
     ("inspect", RIG, "depths=[far]"),
     ("convert", "", "calibration="),
     ("convert", RIG, "fit_angle_deg=0 max_angle_deg=1000 translation_unit=inch camera=nobody"),
-    ("calibrate", "images=*.png board=7x5 square=0.03", "field_of_view_deg=400"),
+    ("calibrate", "images=*.png board=7x5 square=0.03", "field_of_view_deg=400 to=no_model"),
     ("calibrate", "images=*.png board=7x5", "square=0"),
     ("calibrate", "images=*.png square=0.03", "board=seven"),
     ("evaluate", "", "split=all data.num_test=two"),
     ("benchmark", "", "tracks=[rooms] methods=[] frames=0 first_frame=-1"),
     ("align", X, "format=pdf"),
     ("study", "", "seeds=[] panorama_size=[8] on_change=ask"),
+    ("study", "study=tiny", "angles_deg=[0,0] models.constant.kind=magic"),
+    ("study", f"study=tiny {SWEEP_ALONE}", "panel_frame=2"),
+    (
+        "speed",
+        "settings=[[3,4]] feature_channels=2 image_size=[32,32]",
+        "options=[fp8] only=regresion only=(",
+    ),
     ("speed", "", "seconds=0 groups=[everything] settings=[[5]] settings=[5,16] image_size=[32]"),
 )
 """Command, words before, and wrong words: the answer to each begins with its key, what is expected and what came."""
@@ -130,6 +138,13 @@ FAULTS = (
     ("predict", f"{X} window=5", "window: counts only with poses=..."),
     ("predict", f"{X} preset=paper", "known are fast, fine, finest, live"),
     ("study", "study=fast", "known are paper, random_tilts, small, tiny"),
+    ("study", "study=tiny +models.semi_global.steps=2", "models.semi_global: expected one of"),
+    ("study", "study=tiny extra_training=['optimizer.speed=1']", "optimizer.speed"),
+    ("study", "study=tiny data=omnihouse data.root=x inputs=equirect", "takes rendered scenes"),
+    ("calibrate", "board=9x6 square=0.03 images=nothing/*.png", "nothing/*.png"),
+    ("calibrate", "board=9x6 images=x", "square: expected"),
+    ("calibrate", "board=target.yaml square=0.03 images=x", "square: the target file target.yaml says it"),
+    ("calibrate", "board=9x6 square=0.03 images=x dictionary=5X5_50", "dictionary: counts only with marker"),
     ("benchmark", "methods=[winner-takes-all,winner-takes-all]", "methods: winner-takes-all is given twice"),
     ("render", f"output=x num_frames=1 {PANORAMAS} release=png", "release='tiff'"),
     ("train", "experiment=spherical_digits data.orientation=tilted", "expected one of 'upright', 'rotated'"),

@@ -3,11 +3,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import shlex
-import sqlite3
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -153,53 +151,42 @@ def test_one_batch_is_learned_by_heart(run: Run, tmp_path: Path, tiny_training: 
     assert losses[-1] < losses[0]
 
 
-@pytest.mark.slow
-def test_ten_steps_are_profiled(run: Run, tmp_path: Path, tiny_training: Words) -> None:
-    words = (
-        "debug=profiler",
-        "trainer.max_steps=2",
-        "trainer.val_check_interval=2",
-        "logger=none",
-        "callbacks=none",
-    )
-    run("train", *tiny_training, *words, "output=run")
-    assert "run_training_batch" in (tmp_path / "run/fit-profile.txt").read_text()
+EXTRAS = {
+    "debug=profiler logger=none trainer.max_steps=2 trainer.val_check_interval=2": (
+        (),
+        "run/fit-profile.txt",
+        "run_training_batch",
+    ),
+    "logger=wandb logger.wandb.offline=true tags=[mine]": (("wandb",), "run/wandb/offline-run-*/*.wandb", ""),
+    "logger=mlflow": (("mlflow", "sqlalchemy"), "run/mlflow.db", "val/MAE"),
+    "hparams=optuna hydra.sweeper.n_trials=2 logger=none": (
+        ("hydra_plugins.hydra_optuna_sweeper",),
+        "run/sweep.json",
+        '"run": "1"',
+    ),
+}
+"""Words of a training -> packages that they need, a file that it writes, and a part of that."""
 
 
 @pytest.mark.slow
-def test_wandb_works_without_a_network(
-    run: Run, tmp_path: Path, tiny_training: Words, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("words", EXTRAS)
+def test_extras_write_their_files(
+    run: Run, tmp_path: Path, tiny_training: Words, monkeypatch: pytest.MonkeyPatch, words: str
 ) -> None:
-    pytest.importorskip("wandb")
+    packages, file, content = EXTRAS[words]
+    for package in packages:
+        pytest.importorskip(package)
     monkeypatch.setenv("WANDB_SILENT", "true")
-    words = (
-        "logger=wandb",
-        "logger.wandb.offline=true",
-        "trainer.max_steps=1",
-        "callbacks=none",
-        "tags=[mine]",
-    )
-    run("train", *tiny_training, *words, "output=run")
-    assert list((tmp_path / "run/wandb").glob("offline-run-*/*.wandb"))
-
-
-@pytest.mark.slow
-def test_mlflow_keeps_runs_in_a_file(run: Run, tmp_path: Path, tiny_training: Words) -> None:
-    pytest.importorskip("mlflow")
-    pytest.importorskip("sqlalchemy")
-    run("train", *tiny_training, "logger=mlflow", "trainer.max_steps=1", "callbacks=none", "output=run")
-    with contextlib.closing(sqlite3.connect(tmp_path / "run/mlflow.db")) as database:
-        keys = {key for (key,) in database.execute("select key from metrics")}
-    assert "val/MAE" in keys
+    run("train", *tiny_training, "trainer.max_steps=1", *words.split(), "callbacks=none", "output=run")
+    (path,) = tmp_path.glob(file)
+    assert content.encode() in path.read_bytes()
 
 
 @pytest.mark.slow
 def test_progress_is_drawn_wherever_the_output_goes(
     run: Run, tiny_training: Words, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run(
-        "train", *tiny_training, "callbacks=rich_progress", "logger=none", "trainer.max_steps=1", "output=run"
-    )
+    run("train", *tiny_training, "callbacks=rich_progress", "logger=none", "trainer.max_steps=1")
     assert "training" in capsys.readouterr().out
 
 
@@ -240,20 +227,6 @@ def test_loggers_are_made(logger: str, tmp_path: Path) -> None:
     config = composed("train", f"logger={logger}", f"paths.run={tmp_path}")
     for name, node in (config.get("logger") or {}).items():
         assert type(build(node, name)).__name__.lower().startswith(name)
-
-
-@pytest.mark.slow
-def test_optuna_sweeps_if_it_is_installed(run: Run, tmp_path: Path, tiny_training: Words) -> None:
-    pytest.importorskip("hydra_plugins.hydra_optuna_sweeper")
-    words = (
-        "hparams=optuna",
-        "hydra.sweeper.n_trials=2",
-        "trainer.max_steps=1",
-        "logger=none",
-        "callbacks=none",
-    )
-    run("train", *tiny_training, *words, "output=sweep")
-    assert len(json.loads((tmp_path / "sweep/sweep.json").read_text())) == 2
 
 
 def test_a_sweep_goes_on_after_a_run_that_fails(

@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Twenty times ``kill -9`` at random moments of four commands: nothing half written, and the same result.
+"""``kill -9`` at random moments of four commands leaves nothing half written and the same result; and full disks.
 
-``SPHERICALVISION_KILLS`` is how often each command is killed, ``SPHERICALVISION_SEED`` chooses other moments.
+``SPHERICALVISION_KILLS`` is how often each command is killed, ``SPHERICALVISION_SEED`` chooses other moments. Disks are
+small file systems in memory, which root may mount; elsewhere their tests are skipped.
 """
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import random
 import signal
+import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -21,7 +24,7 @@ from sphericalvision.cameras import ring_rig
 from sphericalvision.io.images import read_image
 from sphericalvision.scenes import make_scene, render_rig
 from tests.recipes.conftest import run_recipe
-from tests.recipes.tiny import TINY_TRAINING, write_capture
+from tests.recipes.tiny import TINY_TRAINING, Run, write_capture
 
 pytestmark = pytest.mark.slow
 
@@ -153,3 +156,75 @@ def test_kills_leave_nothing_half_done(recipe: str, capture: Path) -> None:
     assert last.exitcode == 0 or "Error" not in said, said
     whole(output)
     SAME[recipe](capture / "straight", output)
+
+
+def mounted(folder: Path, *options: str) -> None:
+    folder.mkdir(exist_ok=True)
+    words = ["mount", "-t", "tmpfs", "-o", ",".join(options), "tmpfs", str(folder)]
+    try:
+        done = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    except OSError as error:
+        pytest.skip(f"no file systems can be mounted here: {error}")
+    if done.returncode:
+        pytest.skip(f"no file systems can be mounted here: {done.stderr.strip()}")
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Callable[..., Path]]:
+    """Mount a file system in memory with these options; gives its folder."""
+    folder = tmp_path / "disk"
+
+    def mount(*options: str) -> Path:
+        mounted(folder, *options)
+        return folder
+
+    yield mount
+    if folder.is_mount():
+        subprocess.run(["umount", "-l", str(folder)], check=False)
+
+
+WRITERS = {
+    **{name: COMMANDS[name] for name in ("render", "predict", "train")},
+    "convert": ["calibration=capture/rig.yaml", "to=kannala_brandt"],
+    "inspect": ["calibration=capture/rig.yaml", "level=3"],
+}
+STATES = {
+    "full": (("size=64k",), "No space left on device"),
+    "read-only": (("size=1m", "ro"), "Read-only file system"),
+    "a file": ((), "file"),
+}
+"""What is where a folder should be -> options of its file system, and what the system says."""
+
+
+@pytest.mark.parametrize("state", STATES)
+@pytest.mark.parametrize("command", WRITERS)
+def test_where_nothing_can_be_written_one_paragraph_says_so(
+    state: str, command: str, failing: Callable[..., str], disk: Callable[..., Path], capture: Path
+) -> None:
+    options, reason = STATES[state]
+    folder = disk(*options) if options else capture / "file"
+    if state == "full":
+        with contextlib.suppress(OSError), (folder / "fill").open("wb", buffering=0) as file:
+            while True:
+                file.write(bytes(4096))
+    elif state == "a file":
+        folder.write_text("here")
+    name = "converted.yaml" if command == "convert" else "out"
+    assert reason in failing(command, *WRITERS[command], f"output={folder / name}")
+    empty = [path.name for path in folder.rglob("*") if path.is_file() and not path.stat().st_size]
+    assert set(empty) <= {".lock"}
+
+
+def test_frames_of_a_disk_that_was_full_are_rendered_again(
+    run: Run, failing: Callable[..., str], disk: Callable[..., Path], capture: Path
+) -> None:
+    folder = disk("size=60k")
+    words = [*COMMANDS["render"], "num_frames=2", "rig.image_size=[64,64]", "height=64"]
+    assert "No space left on device" in failing("render", *words, f"output={folder}/set")
+    subprocess.run(["mount", "-o", "remount,size=4m", str(folder)], check=True)
+    run("render", *words, f"output={folder}/set")
+    run("render", *words, "output=set")
+    files = sorted(path.relative_to(capture / "set") for path in (capture / "set").rglob("*.png"))
+    assert files
+    for file in files:
+        assert torch.equal(read_image(folder / "set" / file), read_image(capture / "set" / file))

@@ -14,7 +14,6 @@ from hydra import initialize_config_module
 from omegaconf import DictConfig
 
 from sphericalvision.cameras import ring_rig
-from sphericalvision.core import ArgumentError
 from sphericalvision.recipes.speed.cameras import cameras
 from sphericalvision.recipes.speed.command import measure_speed
 from sphericalvision.recipes.speed.frames import preset_predictor
@@ -162,26 +161,6 @@ def test_presets_have_errors_times_and_memory(tmp_path: Path) -> None:
     rows = measured(tmp_path, "groups=[presets]", "presets=[live,fast]")
     assert {row.unit for row in rows} == {"s", "MB", "% of N"}
     assert all(0 < row.median < 100 for row in rows if row.unit == "% of N")
-
-
-@pytest.mark.parametrize(
-    ("words", "remedy"),
-    [
-        (["groups=[network,speed]"], r"groups.*network"),
-        (["options=[fp8]"], r"options.*layers"),
-        (["only=regresion"], r"only: expected a part of a title.*regulariser"),
-        (["only='('"], "only: expected a regular expression"),
-        pytest.param(
-            ["device=cuda"],
-            "device: expected auto, cpu or cuda, got 'cuda'",
-            marks=pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU"),
-        ),
-    ],
-)
-def test_mistakes_are_told_and_nothing_is_written(tmp_path: Path, words: list[str], remedy: str) -> None:
-    with pytest.raises(ArgumentError, match=remedy):
-        measure_speed(config(*words), tmp_path)
-    assert not list(tmp_path.iterdir())
 
 
 def test_what_to_measure_is_found_by_title(tmp_path: Path) -> None:

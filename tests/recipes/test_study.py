@@ -297,20 +297,6 @@ def test_images_on_disk_are_turned(
     torch.testing.assert_close(batch["rig"].select(0).axes[0], torch.tensor([0.0, 0.5**0.5, 0.5**0.5]))
 
 
-def test_mistakes_are_told(failing: Callable[..., str], words: tuple[str, ...], trainer: Trainer) -> None:
-    assert "each angle once" in failing("study", *words, "angles_deg=[0,0]")
-    assert "models.constant.kind: expected one of" in failing("study", *words, "models.constant.kind=magic")
-    assert "models.semi_global: expected one of" in failing(
-        "study", *words, "models.icosweepnet=null", "models.omnimvs=null", "+models.semi_global.steps=2"
-    )
-    assert "panel_frame: expected 0 to 1" in failing("study", *words, *ONLY, "panel_frame=2")
-    assert "optimizer.speed" in failing("study", *words, "extra_training=['optimizer.speed=1']")
-    assert "takes rendered scenes" in failing(
-        "study", "study=tiny", "data=omnihouse", "data.root=x", "inputs=equirect"
-    )
-    assert trainer.trained == ["icosweepnet/seed0"]
-
-
 def test_random_tilts_are_all_that_their_trainings_change() -> None:
     with initialize_config_module("sphericalvision.conf", version_base="1.3"):
         config = compose("study", ["study=random_tilts"])

@@ -23,8 +23,8 @@ from sphericalvision.recipes.app.kinds import OnlyWith
 __all__ = [
     "check_keys",
     "check_node",
+    "checked",
     "expected",
-    "fault",
     "flat",
     "hints_of",
     "marks_of",
@@ -69,9 +69,8 @@ def typed(kind: type[T], config: Mapping[str, Any], prefix: str = "") -> T:
         ...
         sphericalvision.core.ArgumentError: max_angle_deg: expected a number above 0 and up to 180 or null, got 0.0
     """
-    hints = get_type_hints(kind, include_extras=True)
     values = {}
-    for field, hint in hints.items():
+    for field, hint in get_type_hints(kind, include_extras=True).items():
         name = key_of(field)
         nested = dataclasses.is_dataclass(hint) or is_typeddict(hint)
         if nested and name in config and isinstance(config[name], Mapping | DictConfig):
@@ -79,17 +78,12 @@ def typed(kind: type[T], config: Mapping[str, Any], prefix: str = "") -> T:
         elif dataclasses.is_dataclass(hint):
             values[field] = typed(hint, config, prefix)  # type: ignore[arg-type]
         elif name in config.keys():  # noqa: SIM118 (those that lack a value, too)
-            value = config[name]
-            whole = OmegaConf.is_config(value) and _bare(hint) is not Any
-            values[field] = OmegaConf.to_container(value, resolve=True) if whole else value
+            values[field] = checked(f"{prefix}{name}", config[name], hint)
     try:
-        return TypeAdapter(kind).validate_python(values) if is_typeddict(kind) else kind(**values)
-    except ValidationError as error:
-        field = str(error.errors()[0]["loc"][0])
-        key = f"{prefix}{key_of(field)}"
-        if field not in values:
-            raise ArgumentError(f"{key} has no default; remove ~{key} or give a value") from None
-        raise ArgumentError(f"{key}: expected {expected(hints[field])}, got {values[field]!r}") from None
+        return kind(**values)
+    except ValidationError as error:  # values are right, so that one is missing
+        key = f"{prefix}{key_of(str(error.errors()[0]['loc'][0]))}"
+        raise ArgumentError(f"{key} has no default; remove ~{key} or give a value") from None
 
 
 def key_of(field: str) -> str:
@@ -161,28 +155,32 @@ def unused_key(kind: Any, config: DictConfig, overrides: Iterable[str]) -> str |
     return None
 
 
-def _bare(hint: Any) -> Any:
-    return get_args(hint)[0] if get_origin(hint) is Annotated else hint
+def checked(key: str, value: Any, hint: Any) -> Any:
+    """Return a value as its type hint has it; one of an object other than plain values stays as it is.
 
+    Types are exact, no text for a number and no boolean for an integer, but lists may be tuples, as in JSON.
 
-def fault(key: str, value: Any, hint: Any) -> str | None:
-    """Describe in one sentence how a value differs from its type hint; None where it fits.
-
-    Types are exact: no text for a number, no boolean for an integer.
+    Raises:
+        ArgumentError: the value does not fit.
 
     Examples:
-        >>> fault("level", 3, int), fault("level", "3", int)
-        (None, "level: expected a whole number, got '3'")
+        >>> checked("level", 3, int), checked("size", [2, 3], tuple[int, int])
+        (3, (2, 3))
+        >>> checked("level", "3", int)
+        Traceback (most recent call last):
+        ...
+        sphericalvision.core.ArgumentError: level: expected a whole number, got '3'
     """
+    if (get_args(hint)[0] if get_origin(hint) is Annotated else hint) is Any:
+        return value
+    if OmegaConf.is_config(value):
+        value = OmegaConf.to_container(value, resolve=True)
     try:
-        adapter = _adapter(hint)
-    except PydanticUserError:  # a hint of other than plain values
-        return None
-    try:  # as JSON has it: a list where a tuple is expected
-        adapter.validate_json(json.dumps(value), strict=True)
+        return _adapter(hint).validate_json(json.dumps(value), strict=True)
+    except PydanticUserError:
+        return value
     except (ValidationError, TypeError):
-        return f"{key}: expected {expected(hint)}, got {value!r}"
-    return None
+        raise ArgumentError(f"{key}: expected {expected(hint)}, got {value!r}") from None
 
 
 def expected(hint: Any) -> str:
@@ -242,14 +240,8 @@ def check_node(config: Any, where: str, passed: Sequence[str] = ()) -> None:
             raise ArgumentError(f"{where}.{key}: give a value on the command line, {where}.{key}=...")
         value = config[key]
         check_node(value, _source(config, key) or f"{where}.{key}")
-        if OmegaConf.is_config(value):
-            value = OmegaConf.to_container(value, resolve=True)
-        if (
-            key in hints
-            and not isinstance(value, dict)
-            and (wrong := fault(f"{where}.{key}", value, hints[key]))
-        ):
-            raise ArgumentError(wrong)
+        if key in hints and not isinstance(value, Mapping | DictConfig):
+            checked(f"{where}.{key}", value, hints[key])
 
 
 def _source(config: Any, key: Any) -> str | None:

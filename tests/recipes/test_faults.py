@@ -41,7 +41,11 @@ WRONG_VALUES = (
         "num_frames=many num_frames=0 samples_per_pixel=0 height=-3 scale=0 first_seed=-1",
     ),
     ("render", "output=x", "release=jpg mesh_up=x num_workers=many"),
-    ("predict", X, "level=two num_hypotheses=1 skip_existing=maybe frames=[] cameras=[] method=fast"),
+    (
+        "predict",
+        X,
+        "level=two num_hypotheses=1 photometric=maybe skip_existing=maybe frames=[] cameras=[] method=fast",
+    ),
     ("predict", X, "on_error=ignore min_depth=near min_depth=inf max_angle_deg=400 translation_unit=inch"),
     (
         "predict",

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from omegaconf import OmegaConf
 
 import sphericalvision.io.images
 import sphericalvision.recipes.commands.predict
@@ -22,13 +21,12 @@ from sphericalvision.cameras import ring_rig, save_rig
 from sphericalvision.cameras.robot_frame import OPTICAL_FROM_ROS, placed
 from sphericalvision.cameras.trajectory import upright_turn
 from sphericalvision.capture.writers import read_shares
-from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image, write_image
 from sphericalvision.models import IcoSweepNet, save_weights
 from sphericalvision.recipes.app.rigs import make_ring
 from sphericalvision.recipes.datamodules.capture import CaptureDataModule
 from sphericalvision.recipes.datamodules.scanned import OwnScansDataModule
-from sphericalvision.scenes import make_scene, ray_depth, render_rig
+from sphericalvision.scenes import make_scene, render_rig
 from sphericalvision.scenes.disturbances import CameraDisturbance
 from sphericalvision.sphere import Equirectangular
 from tests.recipes.conftest import run_recipe
@@ -164,27 +162,6 @@ def test_a_field_of_view_that_the_calibration_does_not_tell_is_that_of_the_image
         assert data.source.rig.cameras["cam3"].max_angle == pytest.approx(math.radians(95), abs=0.01)
 
 
-def test_depth_scales_with_the_rig(run: Run, capture: Path, weights: Path, tmp_path: Path) -> None:
-    """A rig ten times as large with the same images sees everything ten times as far."""
-    run("predict", *words(capture, weights, "small"), "frames=[3]")
-    make_ring(4, radius=2.0, image_size=SIZE).to_yaml(capture / "rig.yaml")
-    run("predict", *words(capture, weights, "large"), "frames=[3]")
-    small, large = (np.load(tmp_path / name / "00003_depth.npz") for name in ("small", "large"))
-    np.testing.assert_allclose(large["index"], small["index"], atol=1e-3)
-    np.testing.assert_allclose(large["inverse_depth"] * 10, small["inverse_depth"], atol=1e-3)
-
-
-def test_the_nearest_hypothesis_is_found_in_the_images(run: Run, weights: Path, tmp_path: Path) -> None:
-    """A small rig in a hall: scaled from the rig's radius, the nearest hypothesis would waste nearly all others."""
-    rig = make_ring(4, radius=0.05, image_size=(96, 96))
-    scene = make_scene("hall", seed=3)
-    folder = write_capture(tmp_path / "hall", rig, render_rig(scene, rig, 2), file="{camera}/00003.png")
-    run("predict", *words(folder, weights, "out"), "min_depth=scene")
-    nearest = OmegaConf.load(tmp_path / "out/config.yaml").min_depth
-    truth = ray_depth(scene, rig.center, Icosphere(4).vertices).quantile(0.02)
-    assert 0.3 < nearest < truth
-
-
 def test_what_is_compensated_is_said(
     run: Run, weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -259,18 +236,6 @@ def test_frames_that_cannot_be_read_are_not_looked_at_for_the_calibration(
     message = failing("predict", *words(capture, weights, "out"), "outputs=[npz]", "align=true")
     assert "1 of 2 frames were left out" in message
     assert (tmp_path / "out/00004_depth.npz").is_file()
-
-
-def test_grey_images_are_read_as_three_equal_channels(
-    run: Run, capture: Path, weights: Path, tmp_path: Path
-) -> None:
-    for path in capture.glob("cam*/00003.png"):
-        grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-        cv2.imwrite(str(path), grey)
-        cv2.imwrite(str(path.with_name("00004.png")), np.repeat(grey[..., None], 3, -1))
-    run("predict", *words(capture, weights, "out"))
-    one, three = (np.load(tmp_path / f"out/{frame}_depth.npz")["index"] for frame in ("00003", "00004"))
-    np.testing.assert_array_equal(one, three)
 
 
 def test_masked_pixels_have_no_influence(run: Run, capture: Path, weights: Path, tmp_path: Path) -> None:

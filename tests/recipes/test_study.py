@@ -330,21 +330,3 @@ def test_a_constant_needs_a_training_set() -> None:
     config = composed("study", "study=tiny", "models.constant.train=null")
     with pytest.raises(ArgumentError, match=r"models\.constant\.train"):
         study_models(config)
-
-
-@pytest.mark.slow
-def test_from_training_to_tables(run: Run, tmp_path: Path, words: tuple[str, ...]) -> None:
-    """With real trainings in processes of their own; the same command afterwards trains nothing."""
-    run("study", *words)
-    results = json.loads((tmp_path / "out/study.json").read_text())["results"]
-    assert {r["label"] for r in results} == {
-        "IcoSweepNet",
-        "OmniMVS",
-        "semi-global sweep",
-        "constant depth map",
-    }
-    assert all(math.isfinite(r["errors"]["paper"]["MAE"]) for r in results)
-    last = tmp_path / "out/models/omnimvs/seed0/checkpoints/last.ckpt"
-    changed = last.stat().st_mtime_ns
-    run("study", *words)
-    assert last.stat().st_mtime_ns == changed

@@ -7,9 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from pydantic.dataclasses import dataclass
-from torch import Tensor
 from torch.utils.data import DataLoader
 
 from sphericalvision.cameras import CameraRig
@@ -27,6 +25,7 @@ from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Number, Tex
 from sphericalvision.recipes.evaluation.frames import SampleFrames
 from sphericalvision.recipes.evaluation.loop import VertexErrors, evaluate, limit_text, mean_errors_by_method
 from sphericalvision.recipes.evaluation.methods import Method, Scale, baselines
+from sphericalvision.recipes.evaluation.pictures import color_picture
 from sphericalvision.recipes.evaluation.tables import Table, save_errors
 from sphericalvision.scenes import World, WorldSamples
 from sphericalvision.scenes.samples import recorded_sample
@@ -99,7 +98,7 @@ def _save_comparison(folder: Path, frame: dict[str, Any], panoramas: Panoramas, 
     wrong = error_panorama(error, max_error=10.0, label=f"error (% of N = {number})")
     write_image(folder / "ground_truth.png", true)
     write_image(folder / "error.png", wrong)
-    colors = _pixels(panoramas.colors[0])
+    colors = color_picture(panoramas.colors[0].cpu())
     larger = true.shape[1] // colors.shape[1]  # pictures with a scale are enlarged if they are small
     pictures = {
         "the images as one panorama": colors.repeat(larger, 0).repeat(larger, 1),
@@ -108,13 +107,8 @@ def _save_comparison(folder: Path, frame: dict[str, Any], panoramas: Panoramas, 
         "true depth": true,
     }
     below = sheet(pictures, columns=2)
-    images = strip([_pixels(image) for image in frame["images"].values()], below.shape[1] - 24)
+    images = strip([color_picture(image) for image in frame["images"].values()], below.shape[1] - 24)
     write_image(folder / "overview.png", np.concatenate((sheet({"input": images})[:-12], below)))
-
-
-def _pixels(image: Tensor) -> npt.NDArray[np.uint8]:
-    """uint8 ``(h, w, 3)`` of ``(3, h, w)`` in [0, 1]."""
-    return (image.clamp(0, 1) * 255).round().byte().movedim(0, -1).cpu().numpy()  # type: ignore[no-any-return]
 
 
 CONTENTS = {

@@ -143,7 +143,8 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
         predictor = predictor.with_changes(source.rig)
     hints = hints_of(config, source, predictor, placement)
     write_settings(settings, predictor, folder)
-    write_masks(config, calibrated.rig, folder)
+    for name, mask in calibrated.rig.masks.items() if config.capture.masks == AUTO else ():
+        write_mask(folder / "masks" / f"{part_of_name(name)}.png", mask)
 
     outputs = Outputs(folder, output_settings(config, source))
     names = source.names(config.capture.selection)
@@ -205,12 +206,6 @@ def open_frames(config: PredictConfig) -> Source:
             "(expected 5 mm to 5 m). Trajectories are in metres: check their unit, and spacing=."
         )
     return source
-
-
-def write_masks(config: PredictConfig, rig: CameraRig, folder: Path) -> None:
-    """Write the masks of the rig's own body to ``masks/{camera}.png``."""
-    for name, mask in rig.masks.items() if config.capture.masks == AUTO else ():
-        write_mask(folder / "masks" / f"{part_of_name(name)}.png", mask)
 
 
 def warn_if_lying(config: PredictConfig, rig: CameraRig) -> None:

@@ -224,7 +224,9 @@ def train_in(folder: Path, checkpoint: Path | None, config: DictConfig) -> dict[
             print(f"Warning: {sentence}")
         if trainer.is_global_zero and last.is_file():
             print(f"\nStopped at step {trainer.global_step}. Go on with:\n{resume_command(last)}", flush=True)
-        raise SystemExit(exit_status(trainer, stopped)) from None
+        sigterm = getattr(trainer, "received_sigterm", False)
+        status = 143 if sigterm else 130 if stopped.code in (0, 1, None) else stopped.code  # as in shells
+        raise SystemExit(status) from None
     trainer.save_checkpoint(last)
     best = best_checkpoint(trainer, module, data, last)
     trainer.validate(module, data, ckpt_path=best, weights_only=True, verbose=False)
@@ -245,13 +247,6 @@ def train_in(folder: Path, checkpoint: Path | None, config: DictConfig) -> dict[
         if data.has_truth and best.with_suffix(".safetensors").is_file():
             print(f"Evaluate: {evaluate_command(best, config, data.of_training)}")
     return values
-
-
-def exit_status(trainer: pl.Trainer, stopped: SystemExit) -> int | str | None:
-    """143 after SIGTERM and 130 after Ctrl+C, as shells have it."""
-    if getattr(trainer, "received_sigterm", False):
-        return 143
-    return 130 if stopped.code in (0, 1, None) else stopped.code
 
 
 def logged_values(trainer: pl.Trainer, module: TrainingModule, split: str) -> dict[str, float]:

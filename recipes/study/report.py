@@ -50,11 +50,6 @@ WHERE: tuple[Column, ...] = (
 )
 
 
-def fisheye_sets(views: list[View]) -> dict[str, str]:
-    """The views of fisheye cameras, an angle -> its name."""
-    return {f"{view.angle_deg:g}°": view.name for view in views if view.inputs == "fisheye"}
-
-
 def study_tables(results: Results, config: DictConfig, views: list[View]) -> dict[str, Table]:
     """All tables by the names of their files; that of inputs where there are equirectangular ones.
 
@@ -64,7 +59,7 @@ def study_tables(results: Results, config: DictConfig, views: list[View]) -> dic
     * ``inputs``: the same networks on fisheye images and on equirectangular images of the same scenes;
     * ``details``: the other protocols.
     """
-    angles = fisheye_sets(views)
+    angles = {f"{view.angle_deg:g}°": view.name for view in views if view.inputs == "fisheye"}
     left_out = [
         f"{results.means(results.labels[0], 'points left_out', name)[0]:.1f} % at {angle}"
         for angle, name in angles.items()

@@ -145,13 +145,6 @@ def run_line(words: list[str]) -> None:
 def differences(trainings: Sequence[Training]) -> list[str]:
     """Sentences about settings of data and trainer that differ between models, which then compare unfairly."""
     settings = [training.settings for training in trainings]
-    values: dict[str, set[str]] = {}
-    for key in dict.fromkeys(
-        key for keys in settings for key in keys if key.startswith(("data.", "trainer."))
-    ):
-        values[key] = {str(keys.get(key)) for keys in settings}
-    return [
-        f"{key} differs between models: {', '.join(sorted(options))}"
-        for key, options in values.items()
-        if len(options) > 1
-    ]
+    keys = {key: None for own in settings for key in own if key.startswith(("data.", "trainer."))}
+    values = {key: sorted({str(own.get(key)) for own in settings}) for key in keys}
+    return [f"{key} differs between models: {', '.join(v)}" for key, v in values.items() if len(v) > 1]

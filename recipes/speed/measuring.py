@@ -85,30 +85,25 @@ def measure(comparison: Comparison, seconds: float = 2.0, min_rounds: int = MIN_
     Ratios are medians over rounds, so that both sides of a ratio have met the same state of the machine.
     """
     title, runs, note, unit = comparison
-    if unit != "s":
-        values = {name: float(run()) for name, run in runs.items()}
-        first = next(iter(values.values()))
-        # no memory at all is as good as none
-        ratios = {
-            name: first / value if value else float("inf" if first else 1) for name, value in values.items()
-        }
-        return [
-            Measurement(title, name, value, 0.0, ratios[name], 0.0, unit, note)
-            for name, value in values.items()
-        ]
-    for run in runs.values():
-        run()
     rounds: list[list[tuple[float, float]]] = []
-    while len(rounds) < min_rounds or (len(rounds) < MAX_ROUNDS and np.sum(rounds, 0)[:, 0].max() < seconds):
-        rounds.append([_time(run) for run in runs.values()])
-    walls, cpus = np.moveaxis(np.array(rounds), 2, 0)
-    low, median, high = np.quantile(walls, (0.25, 0.5, 0.75), axis=0)
-    columns = (median, (high - low) / 2 / median, np.median(walls[:, :1] / walls, 0), np.median(cpus, 0))
+    if unit == "s":
+        for run in runs.values():
+            run()
+        while len(rounds) < min_rounds or (
+            len(rounds) < MAX_ROUNDS and np.sum(rounds, 0)[:, 0].max() < seconds
+        ):
+            rounds.append([_time(run) for run in runs.values()])
+    else:  # a number, asked for once
+        rounds.append([(float(run()), 0.0) for run in runs.values()])
+    values, cpus = np.moveaxis(np.array(rounds), 2, 0)
+    low, median, high = np.quantile(values, (0.25, 0.5, 0.75), axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):  # no memory at all is as good as none
+        spreads = np.nan_to_num((high - low) / 2 / median)
+        ratios = np.nan_to_num(np.median(values[:, :1] / values, 0), nan=1.0, posinf=np.inf)
+    columns = (column.tolist() for column in (median, spreads, ratios, np.median(cpus, 0)))
     return [
         Measurement(title, name, center, spread, ratio, cpu, unit, note)
-        for name, center, spread, ratio, cpu in zip(
-            runs, *(column.tolist() for column in columns), strict=True
-        )
+        for name, center, spread, ratio, cpu in zip(runs, *columns, strict=True)
     ]
 
 
@@ -205,18 +200,10 @@ def comparison_table(rows: Sequence[Measurement]) -> Table:
     """The measurements of one comparison; "a second" is how often the work is done in one."""
     cells = []
     for row in rows:
-        timed = row.unit == "s"
-        cells.append(
-            [
-                *(
-                    row.name,
-                    _amount(row.median, row.unit),
-                    f"{row.spread:.0%}" if timed else "",
-                    f"{row.ratio:.2f}",
-                ),
-                *((_amount(row.cpu, "s"), f"{1 / row.median:.3g}") if timed else ("", "")),
-            ]
-        )
+        spread = cpu = rate = ""
+        if row.unit == "s":
+            spread, cpu, rate = f"{row.spread:.0%}", _amount(row.cpu, "s"), f"{1 / row.median:.3g}"
+        cells.append([row.name, _amount(row.median, row.unit), spread, f"{row.ratio:.2f}", cpu, rate])
     return Table(rows[0].title, ["", "median", "±", "ratio", "CPU", "a second"], cells)
 
 

@@ -47,7 +47,6 @@ __all__ = [
     "SCALE",
     "Answer",
     "AsUsed",
-    "Inputs",
     "Method",
     "Scale",
     "baselines",
@@ -77,23 +76,6 @@ UNTRAINED: dict[str, Callable[[int, int, float], DepthNetwork]] = {
 
 TRAINING_SCENES = 70
 """Of seeds 0 and up, every kind in turn: what the constant map is the median of."""
-
-
-class Inputs(NamedTuple):
-    """What a network is given of a batch: images, what of them was seen (None: all in view), and the rig."""
-
-    images: Tensor
-    seen: Tensor | None
-    rig: CameraRig
-
-
-def inputs_of(batch: Batch, net: DepthNetwork) -> Inputs:
-    """The inputs of samples that are put together, or of one frame with ``images`` and ``rig``, a batch of one."""
-    if isinstance(batch, dict):
-        images, seen = images_of(batch, net)
-        return Inputs(images, seen, batch["rig"])
-    intake = net.intake(batch.rig)
-    return Inputs(intake(batch.images)[None], intake.seen[None], batch.rig)
 
 
 class Method:
@@ -139,13 +121,20 @@ class Method:
         """Free what follows from the rigs of the frames so far, before frames of another rig."""
         self.__dict__.pop("_tables", None)
 
+    def _inputs(self, batch: Batch) -> tuple[Tensor, Any, Tensor | None]:
+        """Images, tables of their rig, and what of them was seen, of samples put together, or of a frame alone."""
+        if isinstance(batch, dict):
+            images, seen = images_of(batch, self.net)
+            return images, self._tables.of(batch["rig"]), seen
+        intake = self.net.intake(batch.rig)
+        return intake(batch.images)[None], self._tables.of(batch.rig), intake.seen[None]
+
     @torch.no_grad()
     def __call__(self, batch: Batch) -> Answer:
         """Estimate a batch; what follows from the rig alone is not counted in the time."""
-        images, seen, rig = inputs_of(batch, self.net)
-        tables = self._tables.of(rig)
+        inputs = self._inputs(batch)
         began = time.process_time()
-        estimate = self.net.predict(images, tables, seen)
+        estimate = self.net.predict(*inputs)
         return Answer(self.net, estimate, self.min_confidence, time.process_time() - began)
 
     @torch.no_grad()
@@ -156,11 +145,9 @@ class Method:
         """
         from torch.utils.flop_counter import FlopCounterMode
 
-        images, seen, rig = inputs_of(batch, self.net)
-        tables = self._tables.of(rig)
-        counter = FlopCounterMode(display=False)
+        inputs, counter = self._inputs(batch), FlopCounterMode(display=False)
         with reference_kernels(), counter:
-            self.net.predict(images, tables, seen)
+            self.net.predict(*inputs)
         number = sum(parameter.numel() for parameter in self.net.parameters())
         return {"parameters": number, "gflop": counter.get_total_flops() / 1e9 if number else None}
 

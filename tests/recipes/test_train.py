@@ -12,7 +12,6 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -27,7 +26,6 @@ from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.recipes.app.checkpoints import initialize
 from sphericalvision.recipes.app.command import Command
 from sphericalvision.recipes.app.errors import plain_errors
-from sphericalvision.recipes.datamodules.data_module import SampleDataModule, TrainingBatches, TrainingStream
 from sphericalvision.recipes.training.depth_module import METRICS, DepthModule
 from sphericalvision.recipes.training.run_folder import (
     WeightsBesideCheckpoint,
@@ -177,32 +175,6 @@ def test_resuming_another_network_is_refused(
 ) -> None:
     words = ("model.level=4", f"resume={trained.folder / LAST}", "output=other")
     assert "model.level = 4" in failing("train", *tiny_training, *words)
-
-
-def test_a_training_stream_is_a_function_of_seed_and_position() -> None:
-    """Every round holds each sample once; a stream that starts later is the same stream, noise included."""
-
-    class Noisy(torch.utils.data.Dataset[dict[str, Any]]):
-        def __len__(self) -> int:
-            return 5
-
-        def __getitem__(self, index: int) -> dict[str, Any]:
-            return {"index": index, "noise": torch.rand(())}
-
-    stream = TrainingStream(Noisy(), seed=3)
-    whole = [stream[i] for i in range(15)]
-    for start in (0, 5, 10):
-        assert sorted(sample["index"] for sample in whole[start : start + 5]) == [0, 1, 2, 3, 4]
-    assert [sample["index"] for sample in whole[:5]] != [sample["index"] for sample in whole[5:10]]
-    later = TrainingBatches(stream, batch_size=1, length=8, start=7)
-    assert [stream[i] for (i,) in later] == whole[7:]
-    other = TrainingStream(Noisy(), seed=4)
-    assert [other[i]["noise"] for i in range(5)] != [sample["noise"] for sample in whole[:5]]
-
-
-def test_batches_seen_are_those_of_all_processes() -> None:
-    module = SimpleNamespace(trainer=SimpleNamespace(global_step=5, accumulate_grad_batches=2, world_size=4))
-    assert SampleDataModule.state_dict(module) == {"batches_seen": 5 * 2 * 4}  # type: ignore[arg-type]
 
 
 def hold(folder: Path, holding: Any, done: Any) -> None:

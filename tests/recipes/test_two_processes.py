@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -18,7 +19,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.recipes.datamodules.data_module import TrainingBatches, TrainingStream, even_batches
+from sphericalvision.recipes.datamodules.data_module import (
+    SampleDataModule,
+    TrainingBatches,
+    TrainingStream,
+    even_batches,
+)
 from tests.processes import python
 from tests.recipes.tiny import Run
 
@@ -34,6 +40,24 @@ class Numbers(torch.utils.data.Dataset[dict[str, Any]]):
 
     def __getitem__(self, index: int) -> dict[str, Any]:
         return {"index": index, "noise": torch.rand(())}
+
+
+def test_a_training_stream_is_a_function_of_seed_and_position() -> None:
+    """Every round holds each sample once; a stream that starts later is the same stream, noise included."""
+    stream = TrainingStream(Numbers(), seed=3)
+    whole = [stream[i] for i in range(15)]
+    for start in (0, 5, 10):
+        assert sorted(sample["index"] for sample in whole[start : start + 5]) == [0, 1, 2, 3, 4]
+    assert [sample["index"] for sample in whole[:5]] != [sample["index"] for sample in whole[5:10]]
+    later = TrainingBatches(stream, batch_size=1, length=8, start=7)
+    assert [stream[i] for (i,) in later] == whole[7:]
+    other = TrainingStream(Numbers(), seed=4)
+    assert [other[i]["noise"] for i in range(5)] != [sample["noise"] for sample in whole[:5]]
+
+
+def test_batches_seen_are_those_of_all_processes() -> None:
+    module = SimpleNamespace(trainer=SimpleNamespace(global_step=5, accumulate_grad_batches=2, world_size=4))
+    assert SampleDataModule.state_dict(module) == {"batches_seen": 5 * 2 * 4}  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("batch_size", "world"), [(1, 2), (2, 2), (3, 4)])

@@ -21,18 +21,13 @@ from sphericalvision.recipes.training.adapt_module import AdaptModule
 from sphericalvision.scenes import WorldSamples
 from sphericalvision.scenes.disturbances import CameraDisturbance
 from tests.recipes.knocked_capture import KNOCKED, write_knocked_capture
-from tests.recipes.tiny import Run, composed
+from tests.recipes.tiny import Run, composed, typed
 
 TINY = (
-    "model=icosweepnet_small",
-    "model.level=3",
-    "model.num_hypotheses=4",
-    "model.feature_channels=2",
-    "trainer.max_steps=2",
-    "trainer.val_check_interval=1",
-    "trainer.accelerator=cpu",
-    "callbacks.panels=null",
-    "output=run",
+    *typed(
+        "model=icosweepnet_small model.level=3 model.num_hypotheses=4 model.feature_channels=2 output=run"
+    ),
+    *typed("trainer.max_steps=2 trainer.val_check_interval=1 trainer.accelerator=cpu callbacks.panels=null"),
 )
 REHEARSAL = OmegaConf.to_container(composed("train", "experiment=adapt", "capture=c").data.world)
 CALIBRATED = "data.calibration=c/rig.yaml"

@@ -30,18 +30,11 @@ from sphericalvision.recipes.digits.dataset import (
 )
 from sphericalvision.recipes.digits.module import ClassificationModule
 from sphericalvision.sphere import Equirectangular
-from tests.recipes.tiny import Run
+from tests.recipes.tiny import Run, typed
 
 TINY = (
-    "experiment=spherical_digits",
-    "model.level=3",
-    "model.width=4",
-    "data.num_val=8",
-    "data.num_test=12",
-    "data.batch_size=4",
-    "trainer.max_steps=2",
-    "trainer.val_check_interval=1",
-    "trainer.accelerator=cpu",
+    *typed("experiment=spherical_digits model.level=3 model.width=4 data.num_val=8 data.num_test=12"),
+    *typed("data.batch_size=4 trainer.max_steps=2 trainer.val_check_interval=1 trainer.accelerator=cpu"),
 )
 
 

@@ -24,7 +24,7 @@ from sphericalvision.cameras import ring_rig
 from sphericalvision.io.images import read_image
 from sphericalvision.scenes import make_scene, render_rig
 from tests.recipes.conftest import run_recipe
-from tests.recipes.tiny import TINY_TRAINING, Run, write_capture
+from tests.recipes.tiny import TINY_TRAINING, Run, typed, write_capture
 
 pytestmark = pytest.mark.slow
 
@@ -32,18 +32,16 @@ KILLS = int(os.environ.get("SPHERICALVISION_KILLS", "5"))
 SEED = int(os.environ.get("SPHERICALVISION_SEED", "0"))
 
 COMMANDS = {
-    "train": [*TINY_TRAINING, "trainer.max_steps=30", "resume=auto", "logger=none", "data.cache_dir=scenes"],
-    "render": ["rig=ring", "rig.image_size=[48,48]", "num_frames=12", "samples_per_pixel=1", "height=48"],
-    "predict": [
-        "calibration=capture/rig.yaml",
-        "images=capture/{camera}/{frame:03d}.png",
-        "method=semi_global",
-        "level=4",
-        "min_depth=0.5",
-        "height=48",
-        "skip_existing=true",
+    "train": [
+        *TINY_TRAINING,
+        *typed("trainer.max_steps=30 resume=auto logger=none data.cache_dir=scenes"),
     ],
-    "study": ["study=tiny", "data.cache_dir=scenes"],
+    "render": [*typed("rig=ring rig.image_size=[48,48] num_frames=12 samples_per_pixel=1 height=48")],
+    "predict": [
+        *typed("calibration=capture/rig.yaml images=capture/{camera}/{frame:03d}.png method=semi_global"),
+        *typed("level=4 min_depth=0.5 height=48 skip_existing=true"),
+    ],
+    "study": [*typed("study=tiny data.cache_dir=scenes")],
 }
 # What differs from run to run: times, places, and what tells how a run went.
 VARY = (".lock", "config.yaml", ".log", "events", ".pt", "multirun.yaml")

@@ -21,19 +21,13 @@ from sphericalvision.recipes.segmentation.rooms import (
     orientation_rotation,
 )
 from sphericalvision.scenes import make_scene, ray_labels
-from tests.recipes.tiny import Run
+from tests.recipes.tiny import Run, typed
 
 TINY = (
-    "experiment=segmentation",
-    "model.level=3",
-    "model.width=4",
-    "data.num_train=3",
-    "data.num_val=1",
-    "data.num_test=2",
-    "data.batch_size=2",
-    "trainer.max_steps=2",
-    "trainer.val_check_interval=1",
-    "trainer.accelerator=cpu",
+    *typed(
+        "experiment=segmentation model.level=3 model.width=4 data.num_train=3 data.num_val=1 data.num_test=2"
+    ),
+    *typed("data.batch_size=2 trainer.max_steps=2 trainer.val_check_interval=1 trainer.accelerator=cpu"),
 )
 
 

@@ -13,18 +13,14 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.io.images import read_image
 from sphericalvision.models import OmniMVS, load_weights, save_weights
 from sphericalvision.models.weights.checkpoints import read_network
-from tests.recipes.tiny import TINY_SCENES, Run, command_after
+from tests.recipes.tiny import TINY_SCENES, Run, command_after, typed
 
 WORDS = (
-    "experiment=omnimvs_small",
-    "model.num_hypotheses=4",
-    "model.feature_channels=2",
-    "model.output_size=[20,40]",
-    "model.num_scales=2",
+    *typed("experiment=omnimvs_small model.num_hypotheses=4 model.feature_channels=2 model.num_scales=2"),
     *TINY_SCENES,
-    "trainer.val_check_interval=1",
-    "trainer.accelerator=cpu",
-    "scheduler=constant",
+    *typed(
+        "model.output_size=[20,40] trainer.val_check_interval=1 trainer.accelerator=cpu scheduler=constant"
+    ),
 )
 
 

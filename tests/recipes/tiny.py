@@ -18,24 +18,20 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig, ring_rig, save_rig
 from sphericalvision.io.images import write_image
 
+
+def typed(line: str) -> tuple[str, ...]:
+    """The words of a command line."""
+    return tuple(shlex.split(line))
+
+
 TINY_SCENES = (
-    "rig.image_size=[32,32]",
-    "data.num_train=3",
-    "data.num_val=2",
-    "data.num_test=2",
-    "data.samples_per_pixel=1",
-    "data.batch_size=2",
-    "data.num_workers=0",
+    *typed("rig.image_size=[32,32] data.num_train=3 data.num_val=2 data.num_test=2"),
+    *typed("data.samples_per_pixel=1 data.batch_size=2 data.num_workers=0"),
 )
 TINY_TRAINING = (
-    "experiment=quickstart",
-    "model.level=3",
-    "model.num_hypotheses=4",
-    "model.feature_channels=2",
+    *typed("experiment=quickstart model.level=3 model.num_hypotheses=4 model.feature_channels=2"),
     *TINY_SCENES,
-    "trainer.val_check_interval=1",
-    "trainer.accelerator=cpu",
-    "scheduler=constant",
+    *typed("trainer.val_check_interval=1 trainer.accelerator=cpu scheduler=constant"),
 )
 TINY_BENCHMARK = (
     "tracks=[room]",

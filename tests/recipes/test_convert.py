@@ -24,7 +24,7 @@ from sphericalvision.cameras import (
     save_camera,
 )
 from sphericalvision.io.images import read_image, write_image
-from tests.recipes.tiny import Run
+from tests.recipes.tiny import Run, typed
 
 LENS = DoubleSphereCamera([75.0, 75.0], [152.3, 151.5], -0.2, 0.6, (304, 304), math.radians(100))
 
@@ -57,14 +57,7 @@ def test_a_rig_is_converted_with_its_poses(
 
 
 def test_one_camera_goes_to_the_file_of_another_program(run: Run, calibration: Path) -> None:
-    run(
-        "convert",
-        f"calibration={calibration}",
-        "camera=left",
-        "to=ocam",
-        "format=ocamcalib",
-        "output=left.txt",
-    )
+    run(*typed(f"convert calibration={calibration} camera=left to=ocam format=ocamcalib output=left.txt"))
     ocam = read_camera(calibration.parent / "left.txt", max_angle=math.radians(100))
     assert isinstance(ocam, OCamCamera)
     points = torch.tensor([[0.3, -0.2, 1.0], [1.0, 0.0, -0.1]])

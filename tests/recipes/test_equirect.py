@@ -19,7 +19,7 @@ from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.datamodules.entries import images_of, truth_of
 from sphericalvision.recipes.datamodules.scenes import SceneDataModule
 from tests.documented import blocks
-from tests.recipes.tiny import TINY_SCENES, Run, composed
+from tests.recipes.tiny import TINY_SCENES, Run, composed, typed
 
 TINY_PANORAMAS = ("rig=equirect4", "rig.image_size=[16,32]")
 
@@ -51,12 +51,9 @@ def test_panoramas_are_rendered_read_and_predicted(run: Run, tmp_path: Path, wei
     assert sample["images"]["cam4"].shape == (3, 16, 32)
     images = f"{root}/cam{{camera}}/{{frame:05d}}.png"
     run(
-        "predict",
-        f"calibration={root}/config.yaml",
-        f"images={images}",
-        f"checkpoint={weights}",
-        "output=out",
-        "device=cpu",
+        *typed(
+            f"predict calibration={root}/config.yaml images={images} checkpoint={weights} output=out device=cpu"
+        )
     )
     assert (tmp_path / "out/00001_depth.npz").is_file()
     run("render", *TINY_PANORAMAS, *words, "num_frames=2")  # the same rig: frames are added

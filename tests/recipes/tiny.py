@@ -34,15 +34,8 @@ TINY_TRAINING = (
     *typed("trainer.val_check_interval=1 trainer.accelerator=cpu scheduler=constant"),
 )
 TINY_BENCHMARK = (
-    "tracks=[room]",
-    "frames=1",
-    "level=3",
-    "panorama_rows=8",
-    "image_rows=16",
-    "align=false",
-    "samples_per_pixel=1",
-    "workers=0",
-    "panel_height=20",
+    *typed("tracks=[room] frames=1 level=3 panorama_rows=8 image_rows=16 align=false"),
+    *typed("samples_per_pixel=1 workers=0 panel_height=20"),
 )
 
 Run = Callable[..., None]

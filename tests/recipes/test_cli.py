@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -13,9 +11,6 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from sphericalvision.recipes import predict
 from sphericalvision.recipes.app.cli import print_table, say
 from sphericalvision.recipes.app.words import quote_paths, unquote_paths
-from tests.recipes.tiny import TINY_SCENES, Run
-
-Failing = Callable[..., str]
 
 
 @pytest.mark.parametrize(
@@ -54,26 +49,3 @@ def test_a_terminal_without_the_letters_of_a_name_is_none_to_fail_on(monkeypatch
     predict.main(["--version"])
     print("output: caf\u00e9")
     assert terminal.buffer.getvalue().endswith(b"output: caf\\xe9\n")  # type: ignore[attr-defined]
-
-
-def test_a_folder_of_own_configs_extends_the_experiments(run: Run, tmp_path: Path, weights: Path) -> None:
-    folder = tmp_path / "mine" / "rig"
-    folder.mkdir(parents=True)
-    (folder / "tiny.yaml").write_text(
-        "_target_: sphericalvision.recipes.app.rigs.make_ring\nimage_size: [32, 32]\n"
-    )
-    words = [
-        "rig=tiny",
-        *(word for word in TINY_SCENES if "rig" not in word),
-        "data.cache_dir=null",
-    ]
-    run(
-        "evaluate",
-        "--config-dir",
-        str(folder.parent),
-        *words,
-        f"checkpoint={weights}",
-        "output=table",
-        "device=cpu",
-    )
-    assert "weights" in (tmp_path / "table/metrics.md").read_text()

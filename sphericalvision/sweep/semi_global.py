@@ -137,15 +137,21 @@ def semi_global_sweep(
     image_level = level_from_num_vertices(sphere_images.shape[-1])
     level = max(image_level - 2, 0) if level is None else check_level(level)
     if isinstance(rig, SemiGlobalTables):
-        tables = rig
-        check_tables(tables.seen, sphere_images)
-        cost_level = level_from_num_vertices(tables.sweep.ids.shape[-3])
-    else:
-        cost_level = max(image_level - 1, level) if cost_level is None else cost_level
-        _check_levels(level, cost_level, image_level)
-        device = sphere_images.device
-        tables = semi_global_tables(rig, num_hypotheses, min_depth, image_level, cost_level, substeps, device)
-    _check_levels(level, cost_level, image_level)
+        check_tables(rig.seen, sphere_images)
+        cost_level = level_from_num_vertices(rig.sweep.ids.shape[-3])
+    elif cost_level is None:
+        cost_level = max(image_level - 1, level)
+    if not 0 <= level <= cost_level <= image_level:
+        raise ArgumentError(
+            f"level, cost_level: expected 0 <= level <= cost_level <= {image_level}, the level of the images, "
+            f"got {level} and {cost_level}"
+        )
+    device = sphere_images.device
+    tables = (
+        rig
+        if isinstance(rig, SemiGlobalTables)
+        else semi_global_tables(rig, num_hypotheses, min_depth, image_level, cost_level, substeps, device)
+    )
     substeps, rest = divmod(tables.sweep.ids.shape[-4] - 1, num_hypotheses - 1)
     if rest:
         raise ArgumentError(
@@ -268,11 +274,3 @@ def _colors_at(images: Tensor, shown: Tensor, tables: SweepTables, winner: Tenso
     features = torch.cat((images * shown[:, :, None], shown[:, :, None]), 2)
     values = sphere_sweep(features, at_winner).values.squeeze(3).sum(1)  # over the cameras
     return values[:, :channels] / values[:, channels:].clamp(min=LEAST_SHARE)
-
-
-def _check_levels(level: int, cost_level: int, image_level: int) -> None:
-    if not 0 <= level <= cost_level <= image_level:
-        raise ArgumentError(
-            f"level, cost_level: expected 0 <= level <= cost_level <= {image_level}, the level of the images, "
-            f"got {level} and {cost_level}"
-        )

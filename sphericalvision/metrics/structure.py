@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import torch
@@ -11,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sphericalvision.icosphere import icosphere_rings, icosphere_vertices, level_from_num_vertices
+from sphericalvision.tables import constant_table
 
 __all__ = ["DepthStructure", "depth_structure", "local_contrast"]
 
@@ -95,10 +95,6 @@ def _off_plane(index: Tensor, rings: Tensor) -> Tensor:
     return (values - (vertices @ slope)[..., 0]).abs().amax(-1).to(index.dtype)
 
 
-@lru_cache(maxsize=4)
-def _cached_rings(level: int, number: int) -> Int[Tensor, "V k"]:
-    return icosphere_rings(level, number)
-
-
-def _rings(level: int, number: int, device: torch.device) -> Tensor:
-    return _cached_rings(level, number).to(device)
+@constant_table
+def _rings(level: int, number: int, device: torch.device) -> Int[Tensor, "V k"]:
+    return icosphere_rings(level, number).to(device)

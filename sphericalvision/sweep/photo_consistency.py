@@ -18,7 +18,7 @@ from sphericalvision.sweep.appearance import local_appearance
 from sphericalvision.sweep.correlation import LEAST_SHARE
 from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hypotheses
 from sphericalvision.sweep.regression import DepthEstimate
-from sphericalvision.sweep.ring_mean import ids_of_coarser_level
+from sphericalvision.sweep.ring_mean import ids_of_coarser_level, ring_mean
 from sphericalvision.sweep.sphere_sweep import sphere_sweep
 from sphericalvision.sweep.sweep_tables import sweep_tables
 from sphericalvision.sweep.visibility import check_seen, seen_in_view
@@ -100,7 +100,7 @@ def photo_consistency(
         costs.append(deviation_cost(values / share.clamp(min=LEAST_SHARE), share.squeeze(2) > LEAST_SHARE))
     cost = torch.stack(costs, 1)
     for _ in range(aggregation):
-        cost = _neighborhood_mean(cost, grid.neighbors)
+        cost = _neighborhood_mean(cost)
     cost = cost[..., ids_of_coarser_level(grid.level, level, cost.device)]
     finite = cost.isfinite()
     mean = torch.where(finite, cost, 0.0).sum(1) / finite.sum(1).clamp(min=1)
@@ -129,13 +129,9 @@ def deviation_cost(values: Float[Tensor, "B n C V"], seen: Bool[Tensor, "B n V"]
     return torch.where(count.squeeze(1) >= 2, deviation.mean(1) * unbiased, torch.inf)
 
 
-def _neighborhood_mean(cost: Tensor, neighbors: Tensor) -> Tensor:
+def _neighborhood_mean(cost: Tensor) -> Tensor:
     """Average ``(B, N, V)`` over each vertex and its neighbours, without infinite (unseen) costs."""
     seen = cost.isfinite()
-    finite = torch.where(seen, cost, 0.0)
-    total, count = finite, seen.to(cost.dtype)
-    for column in neighbors.unbind(1):
-        present = (column >= 0).to(cost.dtype)
-        total = total + finite[..., column.clamp(min=0)] * present
-        count = count + seen[..., column.clamp(min=0)] * present
-    return torch.where(seen, total / count.clamp(min=1), torch.inf)
+    values = torch.stack((cost.where(seen, 0.0), seen.to(cost)))
+    total, count = ring_mean(values.movedim(-1, 0)).movedim(0, -1)
+    return (total / count).where(seen, torch.inf)

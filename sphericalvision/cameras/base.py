@@ -343,23 +343,27 @@ class Camera(DeclaredModel):
         offset: tuple[float, float],
         image_size: tuple[int, int],
     ) -> AnyCamera:
-        """The camera whose pixels are ``scale * pixels + offset``; here for models with a focal length."""
-        if not {"focal_length", "principal_point"} <= set(self.intrinsic_names):
+        """The camera whose pixels are ``scale * pixels + offset``; here for models with a principal point."""
+        scaled, center = self._scaled(scale), vars(self).get("principal_point")
+        if not scaled or center is None:
             raise ArgumentError(
                 f"resized, cropped: {type(self).__name__} has no focal length and principal point; its class must "
                 "override _on_pixels"
             )
         changed = copy.copy(self)
-        focal_length, principal_point = vars(self)["focal_length"], vars(self)["principal_point"]
-        stretch = principal_point.new_tensor(scale)
-        vars(changed).update(
-            focal_length=focal_length * stretch,
-            principal_point=principal_point * stretch + principal_point.new_tensor(offset),
-            image_size=image_size,
-        )
-        if (skew := vars(self).get("skew")) is not None:
-            vars(changed)["skew"] = skew * scale[0]
+        center = center * center.new_tensor(scale) + center.new_tensor(offset)
+        vars(changed).update(scaled, principal_point=center, image_size=image_size)
         return changed
+
+    def _scaled(self, scale: tuple[float, float]) -> dict[str, Tensor]:
+        """The intrinsics that lengths in pixels change, for pixels ``scale`` times as large; none if not known."""
+        values = vars(self)
+        scaled = {}
+        if "focal_length" in values:
+            scaled["focal_length"] = values["focal_length"] * self.max_angle.new_tensor(scale)
+        if values.get("skew") is not None:
+            scaled["skew"] = values["skew"] * scale[0]
+        return scaled
 
     def _aligned(self, values: Tensor) -> list[Any]:
         """Intrinsics shaped to broadcast with ``values`` (*b, *, k), in its dtype and on its device, or ``None``."""

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Num
 from torch import Tensor
 
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import ArgumentError, ShapeError, check_last_dim, check_type
+from sphericalvision.core import ArgumentError, check_type
 from sphericalvision.geometry.directions import holds
+from sphericalvision.shapes import check_shapes
 
 __all__ = ["Overlap", "coverage", "overlap", "seen_by"]
 
@@ -28,8 +29,9 @@ class Overlap(NamedTuple):
     """Mean number of cameras that see a direction."""
 
 
+@check_shapes
 def coverage(
-    rig: CameraRig, directions: Float[Tensor, "V 3"], depths: Sequence[float] | Float[Tensor, " ..."]
+    rig: CameraRig, directions: Float[Tensor, "V 3"], depths: Sequence[float] | Num[Tensor, " ..."]
 ) -> Int[Tensor, "*rigs d V"]:
     """Number of cameras (*b, d, V) that see the points at ``depths`` (d,) along ``directions`` (V, 3).
 
@@ -41,7 +43,6 @@ def coverage(
         depths: metres; infinity is allowed.
 
     Raises:
-        ShapeError: ``directions`` is not (V, 3).
         ArgumentError: a depth is not positive.
 
     Examples:
@@ -52,13 +53,13 @@ def coverage(
         [[3, 2], [3, 2]]
     """
     check_type("rig", rig, CameraRig)
-    check_last_dim("directions", directions, 3)
     far = torch.as_tensor(depths, dtype=directions.dtype, device=directions.device).reshape(-1)
     if not holds(far > 0):
         raise ArgumentError(f"depths: expected metres above 0, got {far.tolist()}")
     return rig.points_seen(directions, far.reciprocal()).sum(-3)
 
 
+@check_shapes
 def seen_by(
     rig: CameraRig, directions: Float[Tensor, "V 3"], inverse_depth: Float[Tensor, "*#rigs V"]
 ) -> Int[Tensor, "*rigs V"]:
@@ -73,7 +74,6 @@ def seen_by(
         inverse_depth: (*b, V) in 1/m along them; 0 is infinity.
 
     Raises:
-        ShapeError: ``directions`` is not (V, 3), or ``inverse_depth`` not (*b, V).
         ArgumentError: an inverse depth is negative.
 
     Examples:
@@ -83,11 +83,6 @@ def seen_by(
         >>> seen_by(tilted, torch.tensor([forward, up]), torch.tensor([1.0, 0.0])).tolist()
         [3, 0]
     """
-    if inverse_depth.shape[-1:] != directions.shape[:-1]:
-        raise ShapeError(
-            f"inverse_depth: expected (*b, {len(directions)}), one for each direction, got "
-            f"{tuple(inverse_depth.shape)}"
-        )
     if not holds(inverse_depth >= 0):
         raise ArgumentError(
             f"inverse_depth: expected 1/m, 0 or more, got {inverse_depth.min().item():g}; leave unknown points at 0"
@@ -95,22 +90,15 @@ def seen_by(
     return rig.points_seen(directions, inverse_depth.unsqueeze(-2)).sum(-3).squeeze(-2)
 
 
+@check_shapes
 def overlap(counts: Int[Tensor, "*depths V"], solid_angles: Float[Tensor, " V"]) -> Overlap:
     """Overlap by solid angle from the ``counts`` (*, V) of ``coverage`` and the grid's ``solid_angles`` (V,).
-
-    Raises:
-        ShapeError: the numbers of directions differ.
 
     Examples:
         >>> seen, shared, mean = overlap(torch.tensor([[0, 1, 2, 3]]), torch.ones(4))
         >>> seen.item(), shared.item(), mean.item()
         (0.75, 0.5, 1.5)
     """
-    if solid_angles.ndim != 1 or counts.shape[-1:] != solid_angles.shape:
-        raise ShapeError(
-            f"solid_angles: expected one for each of the {counts.shape[-1]} directions, got shape "
-            f"{tuple(solid_angles.shape)}"
-        )
     weight = solid_angles / solid_angles.sum()
     return Overlap(
         ((counts >= 1) * weight).sum(-1), ((counts >= 2) * weight).sum(-1), (counts * weight).sum(-1)

@@ -12,9 +12,10 @@ import copy
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Num
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection, check_single
@@ -31,7 +32,6 @@ from sphericalvision.core import (
     ArgumentError,
     ArgumentTypeError,
     ShapeError,
-    check_last_dim,
     check_tensor,
     check_type,
     short_repr,
@@ -43,6 +43,7 @@ from sphericalvision.geometry import (
 )
 from sphericalvision.geometry.directions import has_numbers, holds
 from sphericalvision.kernels import Operator, full_precision
+from sphericalvision.shapes import check_shapes
 
 __all__ = ["CameraRig", "check_images_of", "ring_rig"]
 
@@ -193,7 +194,8 @@ class CameraRig:
         cameras = {name: camera.to(device, dtype) for name, camera in self.cameras.items()}
         masks = {name: mask.to(device) for name, mask in self.masks.items()}
         local = self._from_near_by() if dtype == torch.float32 else self
-        return self._of(cameras, local.world_from_camera.to(device, dtype), masks, local.origin.to(device))
+        poses = local.world_from_camera.to(device, dtype)
+        return self._of(cameras=cameras, world_from_camera=poses, masks=masks, origin=local.origin.to(device))
 
     def _from_near_by(self) -> CameraRig:
         """The rig with poses as seen from a place near the cameras, whole metres, if they are far from the origin."""
@@ -246,16 +248,10 @@ class CameraRig:
             self.origin if origin is None else origin,
         )
 
-    def _of(
-        self,
-        cameras: dict[str, Camera],
-        world_from_camera: Tensor,
-        masks: dict[str, Tensor],
-        origin: Tensor,
-    ) -> CameraRig:
+    def _of(self, **values: Any) -> CameraRig:
         """The rig of this one's values, checked when it was made: on a device each check would be waited for."""
         rig = copy.copy(self)
-        rig.cameras, rig.world_from_camera, rig.masks, rig.origin = cameras, world_from_camera, masks, origin
+        vars(rig).update(values)
         return rig
 
     def subset(self, which: Sequence[str | int]) -> CameraRig:
@@ -371,7 +367,8 @@ class CameraRig:
             raise ArgumentError("select: this rig has no batch dimension; its poses are (n, 4, 4)")
         cameras = {n: c.select(index) if c.batch_shape else c for n, c in self.cameras.items()}
         masks = {name: mask[index] if mask.ndim > 2 else mask for name, mask in self.masks.items()}
-        return self._of(cameras, self.world_from_camera[index], masks, self.origin[index])
+        poses, origin = self.world_from_camera[index], self.origin[index]
+        return self._of(cameras=cameras, world_from_camera=poses, masks=masks, origin=origin)
 
     @staticmethod
     def stack(rigs: Sequence[CameraRig]) -> CameraRig:
@@ -399,29 +396,25 @@ class CameraRig:
         origin = torch.stack([rig.origin for rig in rigs])
         return CameraRig(cameras, poses, stack_masks(rigs), first.around, origin)
 
+    @check_shapes
     def project(self, points: Float[Tensor, "*rigs P 3"]) -> Projection:
         """Pixels ``(*b, n, P, 2)`` of points ``(P, 3)`` of the world, in metres, and which cameras see them.
 
         Valid ``(*b, n, P)`` means: within the field of view, on the image, and all the pixels around are usable by the
         mask. What stands in the way is not known. Points of a batch of rigs may be ``(*b, P, 3)``.
 
-        Raises:
-            ShapeError: ``points`` is not (*b, P, 3).
-
         Examples:
             >>> pixels, valid = ring_rig(4).project(torch.tensor([[0.0, 0.0, 2.0]]))  # in front of the first camera
             >>> pixels[0, 0].tolist(), valid[:, 0].tolist()
             ([399.5, 383.5], [True, True, False, True])
         """
-        check_last_dim("points", points, 3)
-        if points.ndim < 2:
-            raise ShapeError(f"points: expected (P, 3) or (*b, P, 3), got {tuple(points.shape)}")
         points = at_least_float32("points", points)
         positions = self.positions.to(points)
         return self._project_rays([points - positions[..., i, None, :] for i in range(len(self))])
 
+    @check_shapes
     def project_along(
-        self, directions: Float[Tensor, "V 3"], inverse_depths: Float[Tensor, " ..."]
+        self, directions: Float[Tensor, "V 3"], inverse_depths: Num[Tensor, " ..."]
     ) -> Projection:
         """Pixels ``(*b, n, N, V, 2)`` of the points at ``inverse_depths`` ``(N,)`` along ``directions`` ``(V, 3)``.
 
@@ -431,15 +424,7 @@ class CameraRig:
         Args:
             directions: unit vectors in the world.
             inverse_depths: 1/m; ``(*b, N, V)`` for inverse depths of each direction's own.
-
-        Raises:
-            ShapeError: the shapes are not as above.
         """
-        check_last_dim("directions", directions, 3)
-        if directions.ndim != 2:
-            raise ShapeError(
-                f"directions: expected (V, 3), got {tuple(directions.shape)}; flatten the grid first"
-            )
         directions = at_least_float32("directions", directions)
         values = inverse_depths.to(directions)
         values = values[:, None] if values.ndim == 1 else values
@@ -465,7 +450,6 @@ class CameraRig:
             inverse_depths: ``(N,)`` in 1/m, 0 is infinity; ``(*b, N, V)`` for those of each direction's own.
 
         Raises:
-            ShapeError: the shapes are not as above.
             ArgumentError: an inverse depth is negative or NaN.
 
         Examples:

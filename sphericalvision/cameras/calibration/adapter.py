@@ -35,11 +35,7 @@ _LENSES = (
 
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
-    """The camera of a parsed file.
-
-    Raises:
-        FileFormatError: the name of the file tells no model; keys alone do not.
-    """
+    """The camera of a parsed file."""
     tokens = re.findall(r"[a-z]+\d*", path.stem.lower())
     named = [lens.name for lens in _LENSES if lens.name in tokens]
     if len(named) != 1:

@@ -43,11 +43,7 @@ _SIZES = {"camera-slam": (480, 640), "camera-rgb": (2880, 2880), "camera-et": (2
 
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
-    """Cameras and poses of a parsed file.
-
-    Raises:
-        ArgumentError: the size of a camera is not known by its label, and not given.
-    """
+    """Cameras and poses of a parsed file."""
     calibration = Gathered(options)
     for values in content.several("CameraCalibrations"):
         label, projection = values.entry("Label"), values.inner("Projection")

@@ -63,21 +63,12 @@ def _camera(content: Keys) -> Camera:
 
 
 def write_asl_camera(camera: Camera, path: str | Path) -> None:
-    """Write one camera as ``sensor.yaml``, in the body's place; fields of view are not part of the format.
-
-    Raises:
-        ArgumentError: the format has no such model; the message names formats that have it.
-    """
+    """Write one camera as ``sensor.yaml``, in the body's place; fields of view are not part of the format."""
     write_yaml(path, _values(camera, torch.eye(4)))
 
 
 def write_asl_rig(rig: CameraRig, folder: str | Path) -> None:
-    """Write ``cam0/sensor.yaml``, ``cam1/sensor.yaml``, ... in the order of the rig into ``folder``.
-
-    Raises:
-        ArgumentError: the format has no such model; the message names formats that have it. Or the folder has a camera
-            of another rig, which would be read as one of this.
-    """
+    """Write ``cam0/sensor.yaml``, ``cam1/sensor.yaml``, ... in the order of the rig into ``folder``."""
     folder = Path(folder)
     own = {f"cam{index}" for index in range(len(rig))}
     if others := [file for file in files_of_rig(folder) if file.parent.name not in own]:

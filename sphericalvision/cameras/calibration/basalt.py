@@ -91,10 +91,6 @@ def write_basalt(cameras: Camera | CameraRig, path: str | Path) -> None:
 
     Cameras become ``cam0``, ``cam1``, ... in their order. Only cameras are written: Basalt itself wants to find the
     IMU's calibration in the file, too. Fields of view are not part of the format.
-
-    Raises:
-        ArgumentError: Basalt has no such model; the message names formats that have it. Or there is a mask already that
-            would be taken for that of a camera without one.
     """
     path = Path(path)
     rig = as_rig(cameras)

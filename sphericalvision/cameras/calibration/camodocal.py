@@ -112,12 +112,7 @@ def camera_in(file: Path) -> Camera:
 
 
 def kitti360_contents(path: Path, options: Options) -> Contents:
-    """The fisheyes of KITTI-360's folder ``calibration``, from its ``calib_cam_to_pose.txt``.
-
-    Raises:
-        MissingFileError: no camera that has a pose has a file ``image_0?.yaml``.
-        FileFormatError: a file is broken; the message names line or key.
-    """
+    """The fisheyes of KITTI-360's folder ``calibration``, from its ``calib_cam_to_pose.txt``."""
     calibration = Gathered(options)
     for line, (label, *words) in data_lines(path):
         name = label.rstrip(":")

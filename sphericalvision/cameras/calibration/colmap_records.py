@@ -156,9 +156,6 @@ def images_in(path: Path) -> list[ImageRecord]:
     """Of ``images.txt`` or ``images.bin``, whose poses agree with ``frames`` and ``rigs`` next to them.
 
     COLMAP 4 keeps poses twice and uses those of the frames; a version of it left old ones in ``images``.
-
-    Raises:
-        FileFormatError: a record is broken, or the pose of an image is not that of its frame and sensor.
     """
     images = _Bytes(path).records(_binary_image) if path.suffix == ".bin" else _text_images(path)
     frames, rigs = (path.with_name(f"{name}{path.suffix}") for name in ("frames", "rigs"))
@@ -339,11 +336,7 @@ class _Bytes:
             raise FileFormatError(f"{self.where}: expected the name of an image") from None
 
     def records(self, record: Callable[[_Bytes], Record]) -> list[Record]:
-        """All records of a file that begins with their number.
-
-        Raises:
-            FileFormatError: the file goes on after them.
-        """
+        """All records of a file that begins with their number."""
         records = [record(self) for _ in range(self.take("Q")[0])]
         if self.at != len(self.data):
             raise FileFormatError(f"{self.where}: {len(self.data) - self.at} bytes more than announced")

@@ -24,11 +24,7 @@ __all__ = ["contents"]
 
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
-    """The camera of a parsed file.
-
-    Raises:
-        FileFormatError: the profile is of another model, of a stretched image, or has a digital lens.
-    """
+    """The camera of a parsed file."""
     if content.get("distortion_model"):
         content.chosen("distortion_model", ("opencv_fisheye",))
     for key in ("input_horizontal_stretch", "input_vertical_stretch"):

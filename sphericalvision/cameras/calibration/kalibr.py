@@ -157,9 +157,6 @@ def write_kalibr(cameras: Camera | CameraRig, path: str | Path) -> None:
 
     ``T_cn_cnm1`` and ``T_cam_imu`` are both written, the rig's world in place of the IMU. Fields of view and masks are
     not part of the format.
-
-    Raises:
-        ArgumentError: Kalibr has no such model; the message names formats that have it.
     """
     rig = as_rig(cameras)
     content: dict[str, Any] = {}

@@ -32,11 +32,7 @@ def recognizes(content: dict[str, Any]) -> bool:
 
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
-    """Cameras and poses of a parsed file.
-
-    Raises:
-        ArgumentError: poses are wanted and the unit of the translations is not given.
-    """
+    """Cameras and poses of a parsed file."""
     names = [f"camera_{index}" for index in range(content.count("nb_camera", 1000))]
     several = [content.inner(name) for name in names]
     if len({str(values.get("camera_group")) for values in several}) > 1:

@@ -47,11 +47,7 @@ def recognizes(content: dict[str, Any]) -> bool:
 
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
-    """The camera of a parsed file, or the rig of one with poses, whose cameras are in files beside it.
-
-    Raises:
-        MissingFileError: there are poses, but the file of a camera is not beside them.
-    """
+    """The camera of a parsed file, or the rig of one with poses, whose cameras are in files beside it."""
     calibration = Gathered(options)
     if not any(str(key).startswith("CameraSystem.") for key in content):
         return calibration.add(path.stem, _camera(content), str(path)).contents

@@ -80,12 +80,7 @@ def recognizes(content: dict[str, Any]) -> bool:
 
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
-    """The camera or the rig of a parsed file; masks are looked up beside ``path``.
-
-    Raises:
-        FileFormatError: a key is missing or its value makes no sense; the message names file and key.
-        MissingFileError: a mask is named that does not exist.
-    """
+    """The camera or the rig of a parsed file; masks are looked up beside ``path``."""
     version = content.entry("version")
     if version != VERSION:
         raise FileFormatError(

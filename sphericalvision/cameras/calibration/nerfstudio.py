@@ -83,11 +83,7 @@ def recognizes(content: dict[str, Any]) -> bool:
 
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
-    """A camera for each frame if poses are wanted, else the lenses.
-
-    Raises:
-        ArgumentError: the size of the images is neither in the file nor given.
-    """
+    """A camera for each frame if poses are wanted, else the lenses."""
     frames = _usable(content, path)
     own = [bool(_OWN & set(frame)) for frame in frames]
     for key in ("scale", "applied_scale"):
@@ -201,19 +197,12 @@ def write_nerfstudio(cameras: Camera | CameraRig, path: str | Path) -> None:
     """Write a camera or a rig of one model; a frame for each camera, whose image is ``images/<name>.png``.
 
     Fields of view and masks are not part of the format.
-
-    Raises:
-        ArgumentError: nerfstudio has no such model, or the rig has several.
     """
     write_json(Path(path), nerfstudio_content(as_rig(cameras)))
 
 
 def nerfstudio_content(rig: CameraRig) -> dict[str, Any]:
-    """What such a file holds.
-
-    Raises:
-        ArgumentError: as ``write_nerfstudio``.
-    """
+    """What such a file holds."""
     kinds = {}
     frames = []
     poses = rig.world_from_camera.detach().cpu().double() @ OPENGL_FROM_OPENCV

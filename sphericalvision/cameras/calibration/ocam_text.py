@@ -62,11 +62,7 @@ def recognizes(path: Path) -> bool:
 
 
 def contents(path: Path, options: Options) -> Contents:
-    """The camera of a text file, or those of the folder in which ``poses.txt`` lies.
-
-    Raises:
-        ArgumentError: the unit of ``poses.txt`` is not given.
-    """
+    """The camera of a text file, or those of the folder in which ``poses.txt`` lies."""
     if path.name == _POSES:
         return _folder_contents(path.parent, options)
     if options.translation_unit not in (None, "m"):
@@ -191,11 +187,7 @@ def _folder_contents(folder: Path, options: Options) -> Contents:
 
 
 def ocam_numbers(camera: Camera, format: str) -> dict[str, list[float]]:
-    """The numbers of a camera as files hold them: counts in front of polynomials, the centre as (row, column).
-
-    Raises:
-        ArgumentError: it is no OCam camera, or has no inverse polynomial, which these files must have.
-    """
+    """The numbers of a camera as files hold them: counts in front of polynomials, the centre as (row, column)."""
     check_holds(format, camera)
     assert isinstance(camera, OCamCamera)
     if camera.inverse_polynomial is None:
@@ -215,11 +207,7 @@ def ocam_numbers(camera: Camera, format: str) -> dict[str, list[float]]:
 
 
 def write_ocam_text(camera: Camera, path: str | Path) -> None:
-    """Write an ``OCamCamera`` as an OCamCalib text file; the field of view is not part of the format.
-
-    Raises:
-        ArgumentError: the camera is of another model, or has no inverse polynomial.
-    """
+    """Write an ``OCamCamera`` as an OCamCalib text file; the field of view is not part of the format."""
     values = ocam_numbers(camera, "ocamcalib")
     lines = []
     for title, row in zip(_LINES, values.values(), strict=True):

@@ -82,10 +82,6 @@ def write_omnimvs(rig: CameraRig, path: str | Path) -> None:
     """Write a rig of ``OCamCamera`` as ``config.yaml``, and masks as ``mask<cam_id>.png`` beside it.
 
     ``cam7`` gets the ``cam_id`` 7; with other names cameras are numbered from 1.
-
-    Raises:
-        ArgumentError: a camera is of another model, has no inverse polynomial, or has no mask where a file would be
-            taken for it.
     """
     check_single(rig)
     path = Path(path)

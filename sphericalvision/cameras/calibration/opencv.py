@@ -81,11 +81,7 @@ def recognizes(content: dict[str, Any]) -> bool:
 
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
-    """The camera or the two cameras of a parsed file.
-
-    Raises:
-        ArgumentError: the unit of the translation, or the size of the images, is neither in the file nor given.
-    """
+    """The camera or the two cameras of a parsed file."""
     _add_other_half(content, path)
     where, calibration = str(path), Gathered(options)
     if find(content, MATRIX):
@@ -226,9 +222,6 @@ def write_opencv(cameras: Camera | CameraRig, path: str | Path) -> None:
     """Write a camera, or a rig of two, as a FileStorage; the suffix (.yaml, .yml, .xml or .json) says of which kind.
 
     Fields of view and masks are not part of the format, and the frame of the first camera becomes the world.
-
-    Raises:
-        ArgumentError: OpenCV has no such model, the rig has more than two cameras, or the suffix is another one.
     """
     path = Path(path)
     if path.suffix.lower() not in STRUCTURED:

@@ -30,11 +30,7 @@ _INDICES = {"1": ("1", "left", "l"), "2": ("2", "right", "r")}
 
 
 def find(content: Mapping[Any, Any], names: tuple[str, ...], index: str = "", where: str = "") -> str | None:
-    """The key that spells one of ``names``, with the index of a camera if there are two.
-
-    Raises:
-        FileFormatError: ``where`` is given, and there are several keys that say different things.
-    """
+    """The key that spells one of ``names``, with the index of a camera if there are two."""
     spellings = set(names)
     if index:
         ends = _INDICES[index]

@@ -84,9 +84,6 @@ def write_orbslam(cameras: Camera | CameraRig, path: str | Path) -> None:
 
     Only what belongs to the cameras is written; the settings of the program are the user's. Fields of view and masks
     are not part of the format.
-
-    Raises:
-        ArgumentError: ORB-SLAM3 has no such model, the two differ in model or size, or there are more than two.
     """
     several = list(cameras.cameras.values()) if isinstance(cameras, CameraRig) else [cameras]
     written = [lens_of(camera, _LENSES, "orbslam") for camera in several]

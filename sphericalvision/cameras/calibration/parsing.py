@@ -46,9 +46,6 @@ def metres_per(unit: str) -> float:
 def numbers(values: Any, where: str, count: int | None = None) -> list[float]:
     """``values`` as finite floats, ``count`` of them if given; ``where`` names file and line or key in errors.
 
-    Raises:
-        FileFormatError: something is no number, not finite, or the count differs.
-
     Examples:
         >>> numbers(["1", 2], "poses.txt, line 1", count=2)
         [1.0, 2.0]

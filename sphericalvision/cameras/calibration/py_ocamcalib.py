@@ -33,11 +33,7 @@ __all__ = ["contents"]
 
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
-    """The camera of a parsed file, called by its ``camera_name``.
-
-    Raises:
-        ArgumentError: the size of the images is not given.
-    """
+    """The camera of a parsed file, called by its ``camera_name``."""
     where, taylor = content.where, content.numbers("taylor_coefficient")
     if not taylor[0] > 0:
         raise FileFormatError(

@@ -51,11 +51,7 @@ def files_of_rig(folder: Path) -> list[Path]:
 
 
 def contents(path: Path, options: Options) -> Contents:
-    """The camera of a file, called like it, and its pose if the file has one.
-
-    Raises:
-        ArgumentError: the size of the image is not given.
-    """
+    """The camera of a file, called like it, and its pose if the file has one."""
     root = parse_xml(read_text(path), path)
     pairs = []
     for element in root.iter():  # an attribute or an element, from version to version

@@ -54,9 +54,6 @@ def load(path: Path) -> Any:
     """The contents of a YAML, JSON or XML file as ``Keys``, lists, numbers and strings.
 
     Of an XML that is not OpenCV's the name of the root is the only key; attributes and children are keys alike.
-
-    Raises:
-        FileFormatError: it cannot be parsed; the message names the line.
     """
     text = read_text(path)
     start = text.lstrip()
@@ -103,11 +100,7 @@ def once(pairs: Iterable[tuple[str, Any]], path: Path) -> dict[str, Any]:
 
 
 def parse_xml(text: str, path: Path) -> ElementTree.Element:
-    """The root of an XML, which must not have what expands without end.
-
-    Raises:
-        FileFormatError: it has a document type or entities, or cannot be parsed; the message names the line.
-    """
+    """The root of an XML, which must not have what expands without end."""
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise FileFormatError(f"{path}: a calibration has no document type or entities, this file has")
     try:

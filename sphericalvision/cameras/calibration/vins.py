@@ -23,11 +23,7 @@ __all__ = ["contents"]
 
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
-    """The cameras ``cam0`` and ``cam1`` of a parsed file, and their poses.
-
-    Raises:
-        MissingFileError: the file of a camera is not where this one says.
-    """
+    """The cameras ``cam0`` and ``cam1`` of a parsed file, and their poses."""
     calibration = Gathered(options)
     count = 2 if "cam1_calib" in content else 1
     if content.number("num_of_cam", count) != count:

@@ -223,21 +223,15 @@ class OCamCamera(Camera):
             self.polynomial, None, self.principal_point, self.affine, self.image_size, self.max_angle
         )
 
-    def _on_pixels(
-        self, scale: tuple[float, float], offset: tuple[float, float], image_size: tuple[int, int]
-    ) -> OCamCamera:
+    def _scaled(self, scale: tuple[float, float]) -> dict[str, Tensor]:
         """The ideal image is measured in pixels along u, so its radius ρ scales by s: f becomes s f(ρ / s)."""
         s, t = scale
         power = torch.arange(self.polynomial.shape[-1], dtype=self.dtype, device=self.device)
-        return OCamCamera(
-            self.polynomial * s ** (1 - power),
-            None if self.inverse_polynomial is None else self.inverse_polynomial * s,
-            self.principal_point * self.principal_point.new_tensor(scale)
-            + self.principal_point.new_tensor(offset),
-            self.affine * self.affine.new_tensor((t / s, t / s, 1.0)),
-            image_size,
-            self.max_angle,
+        inverse = (
+            {} if self.inverse_polynomial is None else {"inverse_polynomial": self.inverse_polynomial * s}
         )
+        affine = self.affine * self.affine.new_tensor((t / s, t / s, 1.0))
+        return {"polynomial": self.polynomial * s ** (1 - power), "affine": affine} | inverse
 
     def _max_radius(self, values: Tensor) -> Tensor:
         """An image radius (*) beyond the farthest corner, undistorted."""

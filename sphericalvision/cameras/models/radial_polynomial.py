@@ -163,18 +163,9 @@ class RadialPolynomialCamera(Camera):
     def _model_end(self) -> Tensor:
         return _widest_angle(self.polynomial)
 
-    def _on_pixels(
-        self, scale: tuple[float, float], offset: tuple[float, float], image_size: tuple[int, int]
-    ) -> RadialPolynomialCamera:
+    def _scaled(self, scale: tuple[float, float]) -> dict[str, Tensor]:
         s, t = scale
-        return RadialPolynomialCamera(
-            self.polynomial * s,
-            self.principal_point * self.principal_point.new_tensor(scale)
-            + self.principal_point.new_tensor(offset),
-            self.aspect_ratio * (t / s),
-            image_size,
-            self.max_angle,
-        )
+        return {"polynomial": self.polynomial * s, "aspect_ratio": self.aspect_ratio * (t / s)}
 
 
 def _power_start(model: FittedModel, samples: Samples) -> list[Tensor]:

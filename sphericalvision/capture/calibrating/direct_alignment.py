@@ -130,8 +130,8 @@ def align_rig_direct(
     frames = inverse_depth.shape[:-1]
     for name, image in images.items():
         if image.shape[:-3] != frames:
-            expected = ", ".join(map(str, (*frames, "c", *image.shape[-2:])))
-            raise ShapeError(f"images[{name!r}]: expected shape ({expected}), got {tuple(image.shape)}")
+            shape = ", ".join(map(str, (*frames, "c", *image.shape[-2:])))
+            raise ShapeError(f"images[{name!r}]: expected shape ({shape}), got {tuple(image.shape)}")
     device = rig.world_from_camera.device
     directions = directions.to(device, torch.float32)
     count = math.prod(frames)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Autocast moves no ray, pose or picture: every public verb of cameras, rigs, trajectories, geometry and pictures.
 
-``tests/test_operators.py`` has the same law for functions of tensors; here is what it leaves out, and every method.
+``tests/test_operator_laws.py`` has the same law for functions of tensors; here is what it leaves out, and every method.
 A new name or method is in one of the two tables.
 """
 

@@ -544,7 +544,7 @@ angle_from_axis(torch.zeros(3, 2)) -> points: Shape
 invert_transform(torch.eye(3)) -> a_from_b: Shape
 # cameras: coverage
 coverage(ring_rig(3), torch.eye(3), [1.0, 0.0]) -> depths: Argument
-overlap(torch.ones(2, 4), torch.ones(3)) -> solid_angles: Shape
+overlap(torch.ones(2, 4).int(), torch.ones(3)) -> solid_angles: Shape
 # capture: preparation
 Preparation(photometric='yes') -> photometric: Argument
 # sphere: resample

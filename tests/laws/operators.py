@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The table of public functions, modules and classes of tensors: a call of each, for ``tests/test_operators.py``.
+"""The table of public functions, modules and classes of tensors: a call of each, for ``tests/test_operator_laws.py``.
 
 A new name is one line in ``CALLS``, and gets every law, or in ``EXCEPTIONS`` with the reason why it has none.
 """

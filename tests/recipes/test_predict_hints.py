@@ -179,12 +179,12 @@ def test_frames_whose_hints_say_nothing_are_left_out(
     given = [f"hint={tmp_path}/hints/{{frame}}.npy", "hint_fit=scale"]
     message = " ".join(failing("predict", *words(capture, "points", "[0,1,2]"), *given).split())
     assert "2 of 3 frames were left out" in message
-    assert "hints/1.npy: nothing is known in it" in message
+    assert "hints/1.npy: it has no valid depth" in message
     message = " ".join(failing("predict", *words(capture, "far", "[0,2]"), *given).split())
     assert "frame 2, hint: no view of it agrees with the network's own depth" in message
     given = [f"hint={tmp_path}/hints/{{camera}}/{{frame}}.tiff"]
     message = " ".join(failing("predict", *words(capture, "images", "[0,1]"), *given).split())
-    assert "hints/cam1/1.tiff and those of the other cameras: nothing is known in it" in message
+    assert "hints/cam1/1.tiff and those of the other cameras: it has no valid depth" in message
     for name in ("points", "far", "images"):
         assert [path.name for path in (tmp_path / name).glob("*.npz")] == ["0_depth.npz"]
 

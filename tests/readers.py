@@ -41,9 +41,7 @@ from sphericalvision.recipes.digits.module import ClassificationModule
 from sphericalvision.recipes.training.run_folder import stored_network
 from sphericalvision.scenes import read_mesh_scene
 from sphericalvision.scenes.cache import ArrayCache
-from tests.cameras.calibration_samples import RIGHT_OF_FIRST, flat, mei
-from tests.cameras.test_damaged_files import TEXTS, read_everything
-from tests.cameras.test_survey_files import CALIBRATION, CHUNK
+from tests.cameras.calibration_samples import RIGHT_OF_FIRST, TEXTS, flat, read_everything, sample
 from tests.models.test_weights import in_reference_names
 
 __all__ = ["READERS", "Reader", "files"]
@@ -96,8 +94,6 @@ IMAGE = both(read_image, read_mask)
 TRUTH = partial(read_ground_truth, min_depth=0.55)
 READERS = {
     **{name: Reader("texts", name, read_everything) for name in TEXTS},
-    "lens.xml": Reader("texts", "lens.xml", read_cameras),
-    "chunk.xml": Reader("texts", "chunk.xml", read_everything),
     "rig.yaml": Reader("own", "rig.yaml", read_everything),
     "mask.png": Reader("own", "mask.png", lambda path: read_rig(path.with_name("rig.yaml"))),
     "ocam1.txt": Reader("ocam", "ocam1.txt", both(read_cameras, ocam_folder)),
@@ -149,7 +145,7 @@ def files(folder: str) -> dict[str, bytes]:
 
 
 def write_texts(folder: Path) -> None:
-    for name, text in {**TEXTS, "lens.xml": CALIBRATION, "chunk.xml": CHUNK}.items():
+    for name, text in TEXTS.items():
         (folder / name).write_text(text)
 
 
@@ -185,7 +181,7 @@ def write_vins(folder: Path) -> None:
     estimator: dict[str, Any] = {"num_of_cam": 2}
     for number, pose in enumerate((np.eye(4), RIGHT_OF_FIRST)):
         estimator |= {f"cam{number}_calib": f"cam{number}_mei.yaml", f"body_T_cam{number}": flat(pose)}
-        (folder / f"cam{number}_mei.yaml").write_text(yaml.safe_dump(mei()))
+        (folder / f"cam{number}_mei.yaml").write_text(yaml.safe_dump(sample("image_02.yaml")))
     (folder / "estimator.yaml").write_text(yaml.safe_dump(estimator))
 
 

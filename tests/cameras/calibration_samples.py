@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Small calibrations of every format, as files in ``files/``, and their projections, written down a second time."""
+"""Small calibrations of every format, the files in ``files/``, and projections written down a second time."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import json
 import math
 import os
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +18,52 @@ import torch
 import yaml
 from torch import Tensor
 
-from sphericalvision.cameras import Camera
+from sphericalvision.cameras import Camera, read_cameras, read_rig
 from sphericalvision.core import ArgumentError
-
-HALF = 0.5**0.5
-QUARTER_TURN = [[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]
-"""Takes what is right of the first camera to the front of the second."""
-
 
 DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # ten times as fast, where libyaml is there
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+FILES = Path(__file__).parent / "files"
+ELSEWHERE = ("system.yaml",)
+"""Files whose cameras are in others beside them."""
+TEXTS = {path.name: path.read_text() for path in sorted(FILES.iterdir()) if path.name not in ELSEWHERE}
+KEYED = tuple(
+    name for name in TEXTS if name.endswith((".yaml", ".json", ".yml")) and not name.startswith("plain")
+)
+"""Those of keys with values, as YAML or JSON."""
+WITHOUT_POSES = frozenset(
+    [
+        "DS.yml",
+        "atan.yaml",
+        "calibration_fisheye.json",
+        "cameras.txt",
+        "fisheye.yaml",
+        "image_02.yaml",
+        "kannala.yaml",
+        "lens.json",
+        "lens.txt",
+        "lens.xml",
+        "panorama.xml",
+        "pinhole.yaml",
+        "plain.xml",
+        "plain.yml",
+        "scaramuzza.yaml",
+        "stella.yaml",
+        "stella_perspective.yaml",
+    ]
+)
+
+
+def unit_of(path: Path) -> str | None:
+    """The unit that has to be given for a sample, which does not tell it."""
+    return "mm" if path.stem in ("stereo", "mc_calib") else None
+
+
+def sample(file: str, /, **changes: Any) -> dict[str, Any]:
+    """The parsed keys of a sample, with other values of some."""
+    text = (FILES / file).read_text()
+    content = json.loads(text) if file.endswith("json") else yaml.load(text, LOADER)
+    return dict(content | changes)
 
 
 def dumped(content: Any, name: str) -> str:
@@ -37,8 +72,8 @@ def dumped(content: Any, name: str) -> str:
 
 
 def dump(path: Path, content: Any) -> Path:
-    """Write keys with values as JSON or YAML."""
-    path.write_text(dumped(content, path.name))
+    """Write text, or keys with values as JSON or YAML."""
+    path.write_text(content if isinstance(content, str) else dumped(content, path.name))
     return path
 
 
@@ -50,6 +85,13 @@ def with_size(read: Callable[..., Any], path: Path, **known: Any) -> Any:
         if "does not tell" not in str(error) or not str(error).startswith("image_size"):
             raise
         return read(path, image_size=(240, 320), **known)
+
+
+def read_everything(path: Path) -> None:
+    """A sample as cameras and, where it has poses, as a rig."""
+    with_size(read_cameras, path, max_angle=1.0)
+    if path.name not in WITHOUT_POSES:
+        with_size(read_rig, path, max_angle=1.0, translation_unit=unit_of(path))
 
 
 def double(*values: Any) -> list[Tensor]:
@@ -65,8 +107,7 @@ def circle(angle: Tensor, azimuth: float = 0.7) -> Tensor:
 
 def published() -> Path:
     """Calibrations that others publish; they are not part of this package."""
-    default = Path(__file__).resolve().parents[2].parent / "shared" / "real"
-    folder = Path(os.environ.get("SPHERICALVISION_REAL", default)) / "calibrations"
+    folder = Path(os.environ.get("SPHERICALVISION_REAL", "")) / "calibrations"
     if not folder.is_dir():
         pytest.skip("published calibrations not found; set SPHERICALVISION_REAL to the folder that has them")
     return folder
@@ -97,10 +138,10 @@ def opencv_plain(rays: np.ndarray, matrix: Any, distortion: Any) -> np.ndarray:
     return points[0].reshape(-1, 2)
 
 
-def opencv_fisheye(rays: np.ndarray, matrix: Any, distortion: Any) -> np.ndarray:
+def opencv_fisheye(rays: np.ndarray, matrix: Any, distortion: Any, alpha: float = 0.0) -> np.ndarray:
     zero = np.zeros(3)
     points = cv2.fisheye.projectPoints(
-        rays[:, None], zero, zero, np.array(matrix, float), np.array(distortion, float)
+        rays[:, None], zero, zero, np.array(matrix, float), np.array(distortion, float), alpha=alpha
     )
     return points[0].reshape(-1, 2)
 
@@ -133,53 +174,42 @@ def extended_unified(
 
 def kannala_brandt(rays: np.ndarray, fx: float, fy: float, cx: float, cy: float, *k: float) -> Any:
     """Past 90° too, where ``cv2.fisheye`` is not right."""
+    return thin_prism(rays, (fx, fy), (cx, cy), k, (0.0,) * 6)
+
+
+def thin_prism(
+    rays: np.ndarray, focal: Any, center: Any, k: Any, terms: Any, composition: str = "sequential"
+) -> np.ndarray:
+    """θ (1 + k1 θ² + ...) along the azimuth, and (p1, p2, s1, s2, s3, s4) of the distorted or the plain point."""
     x, y, z = rays.T
     radius = np.hypot(x, y)
-    theta = np.arctan2(radius, z)
-    stretched = theta * (1 + sum(c * theta ** (2 * i) for i, c in enumerate(k, start=1)))
-    scale = stretched / np.where(radius > 0, radius, 1)
-    return np.stack((fx * x * scale + cx, fy * y * scale + cy), -1)
+    scale = np.arctan2(radius, z) / np.where(radius > 0, radius, 1)
+    px, py = x * scale, y * scale
+    growth = 1 + sum(c * (px * px + py * py) ** i for i, c in enumerate(k, start=1))
+    qx, qy = px * growth, py * growth
+    (x, y), (p1, p2, s1, s2, s3, s4) = (qx, qy) if composition == "sequential" else (px, py), terms
+    r2 = x * x + y * y
+    tx = 2 * p1 * x * y + p2 * (r2 + 2 * x * x) + s1 * r2 + s2 * r2 * r2
+    ty = 2 * p2 * x * y + p1 * (r2 + 2 * y * y) + s3 * r2 + s4 * r2 * r2
+    return np.stack((focal[0] * (qx + tx) + center[0], focal[1] * (qy + ty) + center[1]), -1)
 
 
-# Files ----------------------------------------------------------------------------------------------------------------
-
-FILES = Path(__file__).parent / "files"
-
-
-def text(name: str) -> str:
-    """The text of a sample."""
-    return (FILES / name).read_text()
+def matrix(fx: float, fy: float, cx: float, cy: float) -> list[list[float]]:
+    return [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]
 
 
-def sample(file: str, /, **changes: Any) -> Any:
-    """The parsed keys of a sample, with other values of some."""
-    content = json.loads(text(file)) if file.endswith("json") else yaml.load(text(file), LOADER)
-    return content | changes
+# Samples that are put together ----------------------------------------------------------------------------------------
 
-
-COLMAP, KITTI, MRCAL, REALITY_CAPTURE = map(
-    text, ("cameras.txt", "calib_cam_to_cam.txt", "front.cameramodel", "image001.xmp")
-)
-mei = partial(sample, "image_02.yaml")
-camodocal_pinhole = partial(sample, "pinhole.yaml")
-camodocal_kannala_brandt = partial(sample, "kannala.yaml")
-multicol = partial(sample, "fisheye.yaml")
-multicol_system = partial(sample, "system.yaml")
-asl = partial(sample, "sensor.yaml")
-transforms = partial(sample, "transforms.json")
-aria = partial(sample, "device.json")
-py_ocamcalib = partial(sample, "calibration_fisheye.json")
-svo = partial(sample, "svo.yaml")
-svo_of_one = partial(sample, "atan.yaml")
-mc_calib = partial(sample, "mc_calib.yaml")
-opensfm = partial(sample, "reconstruction.json")
-adapter = partial(sample, "DS.yml")
-gyroflow = partial(sample, "lens.json")
-spires = partial(sample, "spires.yaml")
-opencv_stereo = partial(sample, "stereo.yaml")
+PLANE, KB4 = [190.98, 190.97, 254.93, 256.9], [0.0035, 0.0007, -0.002, 0.0002]
+MATRIX = [[300.5, 0.0, 159.25], [0.0, 301.0, 120.75], [0.0, 0.0, 1.0]]
+OMNIDIR = [[400.0, 0.0, 320.5], [0.0, 401.0, 240.25], [0.0, 0.0, 1.0]]
+QUARTER_TURN = [[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]
+"""Takes what is right of the first camera to the front of the second."""
+RIGHT_OF_FIRST = [[0.0, 0.0, 1.0, 0.11], [0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+"""The pose of a second camera 11 cm to the right of the first that looks to the right, in the first's frame."""
 
 _KALIBR = (
-    "pinhole none", "pinhole radtan", "pinhole equidistant", "omni none", "omni radtan", "eucm none", "ds none"
+    "pinhole radtan", "pinhole none", "pinhole equidistant", "omni none", "omni radtan", "eucm none", "ds none"
 )  # fmt: skip
 KALIBR: dict[str, dict[str, Any]] = {
     kind: {key: value for key, value in lens.items() if key not in ("rostopic", "T_cn_cnm1")}
@@ -187,64 +217,10 @@ KALIBR: dict[str, dict[str, Any]] = {
 }
 
 
-def kalibr(*kinds: str, **changes: Any) -> dict[str, Any]:
+def kalibr(*kinds: str) -> dict[str, Any]:
     """A camchain of these cameras, each 10 cm to the right of the one before and a quarter turn further right."""
-    step = sample("camchain.yaml")["cam1"]["T_cn_cnm1"]
-    content: dict[str, Any] = {}
-    for index, kind in enumerate(kinds):
-        content[f"cam{index}"] = (
-            KALIBR[kind] | {"rostopic": f"/cam{index}"} | ({"T_cn_cnm1": step} if index else {})
-        )
-    content["cam0"].update(changes)
-    return content
-
-
-MATRIX = [[300.5, 0.0, 159.25], [0.0, 301.0, 120.75], [0.0, 0.0, 1.0]]
-FISHEYE = [[190.98, 0.0, 254.93], [0.0, 190.97, 256.9], [0.0, 0.0, 1.0]]
-OMNIDIR = [[400.0, 0.0, 320.5], [0.0, 401.0, 240.25], [0.0, 0.0, 1.0]]
-
-
-def opencv_yaml(**values: Any) -> str:
-    """A FileStorage as OpenCV lays it out, lists of lists and plain lists being matrices."""
-    lines = ["%YAML:1.0", "---"]
-    for key, value in values.items():
-        if isinstance(value, list):
-            rows = value if isinstance(value[0], list) else [[number] for number in value]
-            data = ", ".join(repr(float(number)) for row in rows for number in row)
-            lines += [f"{key}: !!opencv-matrix", f"   rows: {len(rows)}", f"   cols: {len(rows[0])}"]
-            lines += ["   dt: d", f"   data: [ {data} ]"]
-        else:
-            lines.append(f"{key}: {value}")
-    return "\n".join(lines) + "\n"
-
-
-SCARAMUZZA = tuple(sample("scaramuzza.yaml")["poly_parameters"].values())
-"""A panoramic annular lens: z = -(p0 + p1 r + ...)."""
-
-
-def camodocal_scaramuzza(**affine: float) -> dict[str, Any]:
-    content = sample("scaramuzza.yaml")
-    content["affine_parameters"] |= affine
-    return dict(content)
-
-
-def stella_vslam(nested: bool = False) -> dict[str, Any]:
-    """stella_vslam's settings of one camera, a fisheye, or with nested keys a plain one."""
-    if nested:
-        return dict(sample("stella_perspective.yaml"))
-    camera = (content := sample("stella.yaml")).pop("Camera")
-    return {f"Camera.{key}": value for key, value in camera.items()} | content
-
-
-def woodscape(name: str = "FV", **changes: Any) -> dict[str, Any]:
-    """A front camera: it looks along the vehicle's x, its y down being the vehicle's -z."""
-    content = sample("FV.json", name=name)
-    content["intrinsic"] |= changes
-    return dict(content)
-
-
-MULTICOL_C, MULTICOL_D, MULTICOL_E = (multicol()[f"Camera.{key}"] for key in "cde")
-"""An affine part far enough from 1 to be noticed."""
+    step = {"T_cn_cnm1": sample("camchain.yaml")["cam1"]["T_cn_cnm1"]}
+    return {f"cam{index}": KALIBR[kind] | (step if index else {}) for index, kind in enumerate(kinds)}
 
 
 def basalt(*kinds: str) -> dict[str, Any]:
@@ -253,44 +229,20 @@ def basalt(*kinds: str) -> dict[str, Any]:
     lenses = {lens["camera_type"]: lens for lens in rig["intrinsics"]}
     return {
         "value0": {
-            "T_imu_cam": [rig["T_imu_cam"][index % 2] for index in range(len(kinds))],
+            "T_imu_cam": rig["T_imu_cam"][: len(kinds)],
             "intrinsics": [copy.deepcopy(lenses[kind]) for kind in kinds],
-            "resolution": [[512, 512]] * len(kinds),
+            "resolution": rig["resolution"][: len(kinds)],
         }
     }
 
 
 def flat(rows: Any) -> dict[str, Any]:
-    """A FileStorage matrix of rows of numbers, as it is parsed."""
+    """A FileStorage matrix of rows of numbers, or of one column, as it is parsed."""
+    rows = [row if np.ndim(row) else [row] for row in rows]
     data = [float(value) for row in rows for value in row]
-    return {"rows": len(rows), "cols": len(rows[0]), "dt": "f", "data": data}
+    return {"rows": len(rows), "cols": len(rows[0]), "dt": "d", "data": data}
 
 
-RIGHT_OF_FIRST = [[0.0, 0.0, 1.0, 0.11], [0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
-"""The pose of a second camera 11 cm to the right of the first that looks to the right, in the first's frame."""
-
-
-def orbslam(kind: str = "KannalaBrandt8", **changes: Any) -> dict[str, Any]:
-    """ORB-SLAM3's settings of two cameras."""
-    return dict(sample("settings_pinhole.yaml" if kind == "PinHole" else "settings.yaml", **changes))
-
-
-def blender(**changes: Any) -> dict[str, Any]:
-    """Settings of five cameras of Blender; the first one looks along the scene's y axis, its up being z."""
-    content = sample("blender.json")
-    for camera in content["cameras"].values():
-        camera |= changes
-    return dict(content)
-
-
-KB4 = [0.0035, 0.0007, -0.002, 0.0002]
-PLANE = [190.98, 190.97, 254.93, 256.9]
-EYE = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
-
-
-def okvis(**changes: Any) -> dict[str, Any]:
-    """OKVIS's configuration of two cameras, the second to the right of the first and looking right."""
-    content = sample("okvis.yaml")
-    for camera in content["cameras"]:
-        camera |= changes
-    return dict(content)
+def storage(**values: Any) -> dict[str, Any]:
+    """A parsed FileStorage of OpenCV, in which lists are matrices."""
+    return {key: flat(value) if isinstance(value, list) else value for key, value in values.items()}

@@ -19,7 +19,6 @@ from sphericalvision.cameras import (
     EquirectangularCamera,
     ExtendedUnifiedCamera,
     FisheyeCamera,
-    KannalaBrandtCamera,
     read_camera,
     read_cameras,
     read_rig,
@@ -30,41 +29,26 @@ from sphericalvision.cameras.calibration import write_colmap
 from sphericalvision.core import FileFormatError, MissingFileError
 from sphericalvision.geometry import transform_from_axis_angle
 from tests.cameras.calibration_samples import (
-    COLMAP,
+    TEXTS,
     assert_projects,
     directions,
+    dump,
 )
 from tests.laws.cameras import MODELS
 
 
-def write(path: Path, text: str = COLMAP) -> Path:
-    path.write_text(text)
-    return path
-
-
 def test_convention_colmap_pixel_centers_are_half_a_pixel_further(tmp_path: Path) -> None:
     """The optical axis of a centred lens: (160, 120) there, (159.5, 119.5) here, for an image of 320 x 240."""
-    camera = read_camera(write(tmp_path / "cameras.txt", "1 SIMPLE_PINHOLE 320 240 300 160 120\n"))
+    camera = read_camera(dump(tmp_path / "cameras.txt", "1 SIMPLE_PINHOLE 320 240 300 160 120\n"))
     assert camera.project(torch.tensor([0.0, 0.0, 1.0])).pixels.tolist() == [159.5, 119.5]
 
 
 def test_cameras_are_read_back_as_written(tmp_path: Path) -> None:
-    cameras = read_cameras(write(tmp_path / "source.txt"), dtype=torch.float64)
+    cameras = read_cameras(dump(tmp_path / "source.txt", TEXTS["cameras.txt"]), dtype=torch.float64)
     write_colmap(cameras, tmp_path / "cameras.txt")
     again = read_cameras(tmp_path / "cameras.txt", dtype=torch.float64)
     assert list(again) == list(cameras)
     assert all(again[name].equals(camera) for name, camera in cameras.items())
-
-
-def test_one_of_several_is_read_by_name(tmp_path: Path) -> None:
-    path = write(tmp_path / "cameras.txt")
-    assert type(read_camera(path, "cam9")) is KannalaBrandtCamera
-    with pytest.raises(ValueError, match="holds 9 cameras; choose one of cam1, cam2"):
-        read_camera(path)
-    with pytest.raises(ValueError, match="has no camera 'cam10'"):
-        read_camera(path, "cam10")
-    with pytest.raises(ValueError, match="holds 9 cameras without poses"):
-        read_rig(path)
 
 
 def test_distortion_is_written_as_the_smallest_model_that_holds_it(tmp_path: Path) -> None:
@@ -86,7 +70,7 @@ NEWER = """1 EUCM 320 240 120 121 160 120 0.6 1.1
 
 
 def test_newer_models_are_those_that_the_library_has(tmp_path: Path) -> None:
-    found = list(read_cameras(write(tmp_path / "cameras.txt", NEWER), dtype=torch.float64).values())
+    found = list(read_cameras(dump(tmp_path / "cameras.txt", NEWER), dtype=torch.float64).values())
     assert isinstance(found[0], ExtendedUnifiedCamera)
     assert (found[0].alpha.item(), found[0].beta.item()) == (0.6, 1.1)
     assert isinstance(found[1], FisheyeCamera)
@@ -171,7 +155,7 @@ def test_a_model_that_colmap_wrote(tmp_path: Path) -> None:
 
 def test_images_without_rigs_are_a_rig_of_images(tmp_path: Path) -> None:
     """Two images of one camera; an empty line, and one of points, between them; names may have spaces."""
-    write(tmp_path / "cameras.txt", "7 PINHOLE 320 240 300 300 160 120\n")
+    dump(tmp_path / "cameras.txt", "7 PINHOLE 320 240 300 300 160 120\n")
     half = 0.5**0.5
     lines = [
         "# comment",
@@ -180,7 +164,7 @@ def test_images_without_rigs_are_a_rig_of_images(tmp_path: Path) -> None:
         f"2 {half} 0 {-half} 0 0 0 -0.5 7 right/c.png",
         "1 2 -1",
     ]
-    write(tmp_path / "images.txt", "\n".join(lines) + "\n")
+    dump(tmp_path / "images.txt", "\n".join(lines) + "\n")
     rig = read_rig(tmp_path, dtype=torch.float64)
     assert rig.names == ["left/a b", "right/c"]
     torch.testing.assert_close(rig.axes[1], torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64))
@@ -213,7 +197,7 @@ def test_a_part_of_a_binary_file_is_refused(data: st.DataObject, binaries: dict[
 
 
 def test_rigs_that_say_too_little_are_refused(tmp_path: Path) -> None:
-    write(tmp_path / "cameras.txt", "1 PINHOLE 320 240 300 300 160 120\n2 PINHOLE 320 240 300 300 160 120\n")
+    dump(tmp_path / "cameras.txt", "1 PINHOLE 320 240 300 300 160 120\n2 PINHOLE 320 240 300 300 160 120\n")
     for line, message in (
         ("1 2 CAMERA 1 CAMERA 2 0", "camera 2 has no pose in the rig"),
         ("1 2 CAMERA 1 CAMERA 3 1 1 0 0 0 0 0 0", "expected a number of a camera, got 3"),
@@ -223,9 +207,9 @@ def test_rigs_that_say_too_little_are_refused(tmp_path: Path) -> None:
         ("1 1 CAMERA 1", "expected one rig of several cameras, got 0"),
         ("1 2 CAMERA 1 CAMERA 2 1 2 0 0 0 0 0 0", "expected a quaternion of length 1"),
     ):
-        write(tmp_path / "rigs.txt", line + "\n")
+        dump(tmp_path / "rigs.txt", line + "\n")
         with pytest.raises(FileFormatError, match=rf"rigs\.txt.*{message}"):
             read_rig(tmp_path / "rigs.txt")
-    write(tmp_path / "frames.txt", "1 1 1 0 0 0 0 0 0 0\n")
+    dump(tmp_path / "frames.txt", "1 1 1 0 0 0 0 0 0 0\n")
     with pytest.raises(FileFormatError, match="read the folder"):
         read_rig(tmp_path / "frames.txt")

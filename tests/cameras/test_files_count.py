@@ -21,10 +21,8 @@ from sphericalvision.cameras import (
     save_rig,
 )
 from sphericalvision.cameras.calibration.keys import with_keys
-from sphericalvision.cameras.robot_frame import read_pose
-from sphericalvision.core import ArgumentError, FileFormatError
-from tests.cameras.calibration_samples import aria, dump, transforms
-from tests.cameras.test_survey_files import CHUNK
+from sphericalvision.core import FileFormatError
+from tests.cameras.calibration_samples import dump
 
 LENS = PinholeCamera([300.0, 300.0], [319.5, 239.5], (480, 640))
 
@@ -74,58 +72,6 @@ def test_a_rig_of_colmap_is_not_one_camera_that_moves(tmp_path: Path) -> None:
         read_trajectory(images)
 
 
-def test_bad_frames_are_left_out_and_told(tmp_path: Path) -> None:
-    content = transforms()
-    names = read_rig(dump(tmp_path / "all.json", content)).names
-    content["frames"][0]["is_bad"] = True
-    content["frames"][1]["is_bad"] = False
-    with pytest.warns(UserWarning, match="1 left out.*is_bad"):
-        assert read_rig(dump(tmp_path / "some.json", content)).names == names[1:]
-    for frame in content["frames"]:
-        frame["is_bad"] = True
-    with pytest.raises(FileFormatError, match="is_bad"):
-        read_rig(dump(tmp_path / "none.json", content))
-
-
-def test_disabled_cameras_of_metashape_are_left_out_and_told(tmp_path: Path) -> None:
-    path = tmp_path / "cameras.xml"
-    path.write_text(CHUNK.replace('label="DSC_1"', 'label="DSC_1" enabled="false"'))
-    with pytest.warns(UserWarning, match="disabled: DSC_1"):
-        assert read_rig(path).names == ["DSC_2"]
-    path.write_text(CHUNK.replace('label="DSC_1"', 'label="DSC_1" enabled="true"'))
-    assert read_rig(path).names == ["DSC_1", "DSC_2"]
-
-
-def test_equal_labels_in_groups_of_metashape_are_named(tmp_path: Path) -> None:
-    group = '<group id="0" label="second"><camera id="7" sensor_id="0" label="DSC_1"><transform>'
-    group += "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1</transform></camera></group></cameras>"
-    (tmp_path / "cameras.xml").write_text(CHUNK.replace("</cameras>", group))
-    with pytest.raises(FileFormatError, match=r"'DSC_1'.*second camera.*group"):
-        read_rig(tmp_path / "cameras.xml")
-
-
-@pytest.mark.parametrize("key", ["timestamp_us", "time", "serial_number"])
-def test_identifiers_that_split_a_set_are_asked_about(tmp_path: Path, key: str) -> None:
-    def path(values: str) -> Path:
-        frame = transforms()["frames"][0]
-        frames = [{**frame, "file_path": f"{k}.png", key: int(value)} for k, value in enumerate(values)]
-        return dump(tmp_path / f"{values}.json", {**transforms(), "frames": frames})
-
-    assert len(read_rig(path("1111"))) == len(read_rig(path("1234"))) == 4
-    with pytest.raises(FileFormatError, match=key):
-        read_rig(path("1122"))
-
-
-def test_calibrations_of_several_moments_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "online_calibration.jsonl"
-    path.write_text(f"{json.dumps(aria())}\n" * 2)
-    with pytest.raises(FileFormatError, match="several values"):
-        read_rig(path)
-    (tmp_path / "online.json").write_text(path.read_text())
-    with pytest.raises(FileFormatError, match="keep one"):
-        read_rig(tmp_path / "online.json")
-
-
 ROS: dict[str, Any] = {
     "image_width": 848, "image_height": 800, "distortion_model": "equidistant",
     "camera_matrix": {"rows": 3, "cols": 3, "data": [286.0, 0, 424, 0, 286, 400, 0, 0, 1]},
@@ -142,13 +88,12 @@ def test_a_fifth_coefficient_of_zero_is_none(tmp_path: Path) -> None:
     assert cameras[0].equals(cameras[1])
     assert isinstance(cameras[0], KannalaBrandtCamera)
     assert cameras[0].distortion.tolist() == pytest.approx([-0.008, 0.04, -0.038, 0.007])
-    KALIBR["distortion_coeffs"][4] = ROS["distortion_coefficients"]["data"][4] = 0.1
-    try:
-        for content in (ROS, {"cam0": KALIBR}):
-            with pytest.raises(FileFormatError, match="4 coefficients"):
-                read_camera(dump(tmp_path / "five.yaml", content))
-    finally:
-        KALIBR["distortion_coeffs"][4] = ROS["distortion_coefficients"]["data"][4] = 0.0
+    for content in (ROS, {"cam0": KALIBR}):
+        five = dump(
+            tmp_path / "five.yaml", json.loads(json.dumps(content).replace("0.007, 0.0]", "0.007, 0.1]"))
+        )
+        with pytest.raises(FileFormatError, match="4 coefficients"):
+            read_camera(five)
 
 
 def test_numbers_of_calibrations_have_bounds(tmp_path: Path) -> None:
@@ -161,30 +106,6 @@ def test_numbers_of_calibrations_have_bounds(tmp_path: Path) -> None:
     (tmp_path / "cameras.txt").write_text("1 SIMPLE_PINHOLE 640 480 4.2 320 240\n")
     with pytest.warns(UserWarning, match="focal length of cam1.*millimetres"):
         read_camera(tmp_path / "cameras.txt")
-
-
-MATRIX = [[0.0, 0, 1, 1.5], [-1, 0, 0, 0.25], [0, -1, 0, 2], [0, 0, 0, 1]]
-FORMS = {
-    "rows": lambda rows: "\n".join(" ".join(map(str, row)) for row in rows),
-    "commas": lambda rows: "\n".join(", ".join(map(str, row)) for row in rows),
-    "json": lambda rows: json.dumps(rows),
-    "numpy": lambda rows: "array([" + ",\n       ".join(str(row) for row in rows) + "])",
-    "one line": lambda rows: "# base from rig\n" + " ".join(str(x) for row in rows for x in row),
-}
-
-
-@pytest.mark.parametrize("rows", [3, 4])
-@pytest.mark.parametrize("form", FORMS)
-def test_a_frame_is_a_matrix_as_people_write_it(tmp_path: Path, form: str, rows: int) -> None:
-    (tmp_path / "base.txt").write_text(FORMS[form](MATRIX[:rows]))
-    assert read_pose(tmp_path / "base.txt", "frame").tolist() == MATRIX
-
-
-@pytest.mark.parametrize("text", ["1 2 3 4\n" * 3, "0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1", "1 0 0\n0 1 0\n0 0 1"])
-def test_a_frame_is_one_pose(tmp_path: Path, text: str) -> None:
-    (tmp_path / "base.txt").write_text(text)
-    with pytest.raises((FileFormatError, ArgumentError)):
-        read_pose(tmp_path / "base.txt", "frame")
 
 
 def test_keys_of_a_frame_count_before_those_of_the_file() -> None:

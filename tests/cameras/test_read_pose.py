@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -25,19 +26,30 @@ WRITERS: dict[str, Callable[[Path], None]] = {
     "commas and a header": lambda path: np.savetxt(path, POSE[:3], delimiter=", ", header="base, from rig"),
     "one line": lambda path: np.savetxt(path, POSE[:3].reshape(1, 12)),
     "TUM's": lambda path: np.savetxt(path, TUM),
+    "json": lambda path: path.write_text(json.dumps(POSE.tolist())),
+    "numpy": lambda path: path.write_text(repr(np.round(POSE, 14)).replace("\n", "\n      ")),
 }
 
 
 @pytest.mark.parametrize("write", WRITERS.values(), ids=WRITERS)
 def test_a_pose_is_the_same_however_it_is_written(tmp_path: Path, write: Callable[[Path], None]) -> None:
     write(tmp_path / "base.txt")
-    np.testing.assert_allclose(read_pose(tmp_path / "base.txt", "frame"), POSE, atol=1e-12)
+    np.testing.assert_allclose(
+        read_pose(tmp_path / "base.txt", "frame"), POSE, atol=1e-7 if write is WRITERS["numpy"] else 1e-12
+    )
 
 
 @pytest.mark.parametrize(
     "content",
-    [np.tile(TUM, (2, 1)), np.tile(POSE, (2, 1)), POSE[:2], 2 * POSE, POSE * [[1], [1], [-1], [1]]],
-    ids=["two of TUM's", "two matrices", "two rows", "millimetres", "a mirror"],
+    [
+        np.tile(TUM, (2, 1)),
+        np.tile(POSE, (2, 1)),
+        POSE[:2],
+        POSE[:3, :3],
+        2 * POSE,
+        POSE * [[1], [1], [-1], [1]],
+    ],
+    ids=["two of TUM's", "two matrices", "two rows", "a rotation", "millimetres", "a mirror"],
 )
 def test_what_is_no_single_pose_is_refused(tmp_path: Path, content: np.ndarray) -> None:
     np.savetxt(tmp_path / "base.txt", content)

@@ -6,22 +6,18 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.cameras.calibration_samples import blender, dumped
-from tests.cameras.test_calibration import OCAM as OCAM_TEXT
-from tests.cameras.test_damaged_files import CONTENTS, TEXTS
-from tests.cameras.test_understood import DUAL, OTHER_TEXTS, SCALE, read
+from tests.cameras.calibration_samples import TEXTS, dump, dumped, sample
+from tests.cameras.test_understood import read
 
-FILES = CONTENTS | {
-    "blender.json": lambda: {"cameras": {"lens": blender()["cameras"]["fisheye_lens_polynomial"]}}
-}
-SAMPLES = TEXTS | OTHER_TEXTS | {"lens.txt": OCAM_TEXT, "dual.xml": DUAL}
+OCAM = TEXTS["lens.txt"]
+SCALE = "<transform><scale>12.5</scale></transform>"
+LENS = "cameras/fisheye_lens_polynomial"  # of Blender
 IDENTITY = [[300.0, 0, 159.0], [0, 300.0, 119.0], [0, 0, 1]]
 
 VALUES: dict[str, list[tuple[str, Any, str]]] = {  # file -> the way to a value, what stands there, what is said
@@ -63,10 +59,10 @@ VALUES: dict[str, list[tuple[str, Any, str]]] = {  # file -> the way to a value,
         ("fl_x", -3, "expected positive focal lengths"),
         ("w", 0.5, "w and h: expected the width and height"),
     ],
-    "basalt.json": [
+    "calibration.json": [
         ("value0/intrinsics/0/camera_type", "spherical", "intrinsics[0], camera_type: expected one of ds, eucm, "),
         ("value0/T_imu_cam/0/qw", 0.0, "T_imu_cam[0]: expected a quaternion of length 1"),
-        ("value0/resolution", [[160, 128]], "value0, resolution: holds 1 cameras and intrinsics 2"),
+        ("value0/resolution", [[160, 128]], "value0, resolution: holds 1 cameras and intrinsics 5"),
     ],
     "config.yaml": [
         ("cameras/0/pose", [0, 0, 0, 0, math.nan, 0], "cameras[0] (cam1), pose: expected finite numbers"),
@@ -99,19 +95,19 @@ VALUES: dict[str, list[tuple[str, Any, str]]] = {  # file -> the way to a value,
         ("D1", [0.1, 0.2], "D1: expected 4 or 5 coefficients"),
     ],
     "blender.json": [
-        ("cameras/lens/fisheye_polynomial_k0", 0.01, "fisheye_polynomial_k0: expected 0, as the axis is in the middle"),
-        ("cameras/lens/fisheye_polynomial_k1", -1e100, "k1: expected radians a millimetre, got -1e+100"),
-        ("cameras/lens/fisheye_polynomial_k1", 0.06, "fisheye_polynomial_k1 (negative): expected positive"),
-        ("cameras/lens/panorama_type", "MIRRORBALL", "panorama_type: expected one of FISHEYE_EQUIDISTANT"),
-        ("cameras/lens/shift_x", 0.1, "shift_x and shift_y: expected 0 of a panoramic camera"),
-        ("cameras/lens/sensor_width", 0.0, "sensor_width: expected millimetres above 0"),
+        (LENS + "/fisheye_polynomial_k0", 0.01, "fisheye_polynomial_k0: expected 0, as the axis is in the middle"),
+        (LENS + "/fisheye_polynomial_k1", -1e100, "k1: expected radians a millimetre, got -1e+100"),
+        (LENS + "/fisheye_polynomial_k1", 0.06, "fisheye_polynomial_k1 (negative): expected positive"),
+        (LENS + "/panorama_type", "MIRRORBALL", "panorama_type: expected one of FISHEYE_EQUIDISTANT"),
+        (LENS + "/shift_x", 0.1, "shift_x and shift_y: expected 0 of a panoramic camera"),
+        (LENS + "/sensor_width", 0.0, "sensor_width: expected millimetres above 0"),
     ],
 }  # fmt: skip
 WORDS: dict[str, list[tuple[str, str, str]]] = {  # file -> what stands in it, what stands there instead, what is said
     "lens.txt": [
-        (OCAM_TEXT, "\n".join(OCAM_TEXT.splitlines()[:6]), "truncated after line 3: the inverse polynomial"),
-        (OCAM_TEXT, "\n".join(OCAM_TEXT.splitlines()[:14]), "truncated after line 11: the affine (c d e) is missing"),
-        (OCAM_TEXT, "", "truncated after line 0: the direct polynomial"),
+        (OCAM, "\n".join(OCAM.splitlines()[:6]), "truncated after line 3: the inverse polynomial"),
+        (OCAM, "\n".join(OCAM.splitlines()[:14]), "truncated after line 11: the affine (c d e) is missing"),
+        (OCAM, "", "truncated after line 0: the direct polynomial"),
         ("3 -1.000000e+02 0.0", "3 -1.000000e+02", "line 3, direct polynomial (count, then coefficients): announces 3"),
         ("119.5 160.25", "119.5", "line 11, centre (row column): expected 2 numbers, got 1"),
         ("119.5 160.25", "119.5 nan", "line 11, centre (row column): expected finite"),
@@ -179,7 +175,7 @@ WORDS: dict[str, list[tuple[str, str, str]]] = {  # file -> what stands in it, w
     "okvis.yaml": [("cameras:", "binning: 2\ncameras:", "'binning' is not understood")],
     "settings.yaml": [("Camera.fps", "resize: 2\nCamera.fps", "'resize' is not understood")],
     "camchain.yaml": [
-        ("- 362.7", "- 6:02.7", "intrinsics (fu fv pu pv): expected numbers"),
+        ("362.7", "6:02.7", "intrinsics (fu fv pu pv): expected numbers"),
         ("cam1:", "cam7:", "cam2: cam1, the camera before, is missing"),
     ],
     "transforms.json": [
@@ -202,8 +198,7 @@ WORDS: dict[str, list[tuple[str, str, str]]] = {  # file -> what stands in it, w
 
 def said(tmp_path: Path, name: str, text: str) -> str:
     """What is said about a file, with its name."""
-    (tmp_path / name).write_text(text)
-    message = read(tmp_path / name)
+    message = read(dump(tmp_path / name, text))
     assert isinstance(message, str), message
     assert name in message
     return message
@@ -213,7 +208,7 @@ def said(tmp_path: Path, name: str, text: str) -> str:
     ("name", "way", "value", "message"), [(f, *row) for f in VALUES for row in VALUES[f]]
 )
 def test_a_wrong_value_is_named(tmp_path: Path, name: str, way: str, value: Any, message: str) -> None:
-    content: Any = copy.deepcopy(FILES[name]())
+    content: Any = sample(name)
     inner, *keys = content, *(int(key) if key.isdigit() else key for key in way.split("/"))
     for key in keys[:-1]:
         inner = inner[key]
@@ -223,5 +218,5 @@ def test_a_wrong_value_is_named(tmp_path: Path, name: str, way: str, value: Any,
 
 @pytest.mark.parametrize(("name", "old", "new", "message"), [(f, *row) for f in WORDS for row in WORDS[f]])
 def test_wrong_words_are_named(tmp_path: Path, name: str, old: str, new: str, message: str) -> None:
-    assert old in SAMPLES[name]
-    assert message in said(tmp_path, name, SAMPLES[name].replace(old, new))
+    assert old in TEXTS[name]
+    assert message in said(tmp_path, name, TEXTS[name].replace(old, new))

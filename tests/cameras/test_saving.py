@@ -30,6 +30,7 @@ from sphericalvision.cameras.calibration import CAMERA_FORMATS, RIG_FORMATS
 from sphericalvision.cameras.calibration.poses import axis_angle_from_rotation, quaternion_from_rotation
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import transform_from_axis_angle
+from tests.laws.cameras import CAMERAS
 
 SIZE = (240, 320)
 CENTER = [160.3, 119.7]
@@ -109,6 +110,23 @@ def test_what_a_format_cannot_hold_is_refused_with_a_way_out(
 def test_opencv_tells_its_kind_of_file_by_the_suffix(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"expected the suffix \.yaml"):
         save_camera(PLAIN, tmp_path / "camera.txt", format="opencv")
+
+
+def test_own_yaml_returns_the_same_rig(tmp_path: Path) -> None:
+    """Of every model, to the last digit, with masks; the name of the file has no say in it."""
+    cameras = {case.name: case.make(1.0).to(torch.float64) for case in CAMERAS}
+    (name, lens), *_ = cameras.items()
+    generator = torch.Generator().manual_seed(0)
+    poses = torch.eye(4, dtype=torch.float64).repeat(len(cameras), 1, 1)
+    poses[:, 0, 3] = torch.rand(len(cameras), generator=generator, dtype=torch.float64)
+    rig = CameraRig(cameras, poses, {name: torch.rand(lens.image_size, generator=generator) > 0.5})
+    save_rig(rig, tmp_path / "any.thing")
+    assert (tmp_path / "any.thing").read_text().startswith("format: sphericalvision-rig")
+    again = read_rig(tmp_path / "any.thing", dtype=torch.float64)
+    assert again.names == rig.names
+    assert torch.equal(again.world_from_camera, poses)
+    assert all(again.cameras[key].equals(camera) for key, camera in cameras.items())
+    assert torch.equal(again.masks[name], rig.masks[name])
 
 
 def test_masks_that_are_not_written_are_told(tmp_path: Path) -> None:

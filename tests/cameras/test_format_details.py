@@ -159,6 +159,25 @@ def test_keys_without_a_space_before_their_value_are_read(tmp_path: Path) -> Non
     assert read_camera(tight).equals(read_camera(path))
 
 
+def test_convention_ocam_center_is_row_column_in_files(tmp_path: Path) -> None:
+    lines = [
+        "3 -100 0 0.002",
+        "2 157 100",
+        "12.5 20.25",
+        "1 0 0",
+        "30 40",
+    ]  # row 12.5, column 20.25; height 30, width 40
+    path = tmp_path / "ocam.txt"
+    path.write_text("\n\n".join(lines))
+    lens = read_camera(path)
+    assert lens.principal_point.tolist() == [20.25, 12.5]
+    assert lens.image_size == (30, 40)
+    right_and_a_little_down = (
+        lens.exact().project(torch.tensor([0.1, 0.01, 1.0])).pixels - lens.principal_point
+    )
+    assert right_and_a_little_down[0] > right_and_a_little_down[1] > 0
+
+
 # Fields of view, sizes, principal points ------------------------------------------------------------------------------
 
 

@@ -6,14 +6,12 @@ from __future__ import annotations
 import copy
 import json
 import math
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-import pytest
 import torch
 import yaml
 from torch import Tensor
@@ -103,14 +101,6 @@ def circle(angle: Tensor, azimuth: float = 0.7) -> Tensor:
     """Unit vectors (*, 3) at angles (*) from the axis."""
     flat = angle.sin()
     return torch.stack((flat * math.cos(azimuth), flat * math.sin(azimuth), angle.cos()), -1)
-
-
-def published() -> Path:
-    """Calibrations that others publish; they are not part of this package."""
-    folder = Path(os.environ.get("SPHERICALVISION_REAL", "")) / "calibrations"
-    if not folder.is_dir():
-        pytest.skip("published calibrations not found; set SPHERICALVISION_REAL to the folder that has them")
-    return folder
 
 
 def directions(max_degrees: float = 60.0, rings: int = 7, spokes: int = 12) -> np.ndarray:

@@ -2,8 +2,7 @@
 """TUM-VI's two lenses, calibrated three times: as Kannala-Brandt by Kalibr, as double sphere and EUCM by Basalt.
 
 Each calibration is a measurement of the same lenses, so files of two formats and three models must agree to within what
-calibrations differ by. The numbers are typed in below and written as files of the formats; with the published files at
-hand (``SPHERICALVISION_REAL``, a folder with ``calibrations``) these are read as well.
+calibrations differ by. The numbers are those of the published files.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 
-from sphericalvision.cameras import CameraRig, OCamCamera, UnifiedCamera, read_camera, read_cameras, read_rig
+from sphericalvision.cameras import CameraRig, read_rig
 from tests.cameras.calibration_samples import (
     assert_projects,
     directions,
@@ -23,7 +22,6 @@ from tests.cameras.calibration_samples import (
     dump,
     extended_unified,
     kannala_brandt,
-    published,
 )
 
 KB4 = {
@@ -100,27 +98,18 @@ def basalt_file(kind: str) -> dict[str, Any]:
     }
 
 
-@pytest.fixture(params=["typed in", "published"])
-def rigs(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[CameraRig, CameraRig, CameraRig]:
+@pytest.fixture
+def rigs(tmp_path: Path) -> list[CameraRig]:
     """Kannala-Brandt, double sphere, EUCM."""
-    if request.param == "published":
-        names = ("kalibr_kb4.yaml", "basalt_ds.json", "basalt_eucm.json")
-        paths = [published() / f"tumvi_512_{name}" for name in names]
-    else:
-        paths = [
-            dump(tmp_path / "camchain.yaml", kalibr_file()),
-            dump(tmp_path / "ds.json", basalt_file("ds")),
-            dump(tmp_path / "eucm.json", basalt_file("eucm")),
-        ]
-    first, second, third = (read_rig(path, dtype=torch.float64) for path in paths)
-    return first, second, third
+    files = {"camchain.yaml": kalibr_file(), "ds.json": basalt_file("ds"), "eucm.json": basalt_file("eucm")}
+    return [read_rig(dump(tmp_path / name, content), dtype=torch.float64) for name, content in files.items()]
 
 
 RAYS = directions(97.0, rings=98, spokes=72)
 
 
 @pytest.mark.parametrize("index", [0, 1])
-def test_three_models_of_one_lens_agree_to_97_degrees(rigs: tuple[CameraRig, ...], index: int) -> None:
+def test_three_models_of_one_lens_agree_to_97_degrees(rigs: list[CameraRig], index: int) -> None:
     """0.798 and 0.705 px between KB4 and DS, 0.144 and 0.141 px between DS and EUCM."""
     kb4, ds, eucm = (
         rig.cameras[f"cam{index}"].project(torch.from_numpy(RAYS)).pixels.numpy() for rig in rigs
@@ -130,7 +119,7 @@ def test_three_models_of_one_lens_agree_to_97_degrees(rigs: tuple[CameraRig, ...
 
 
 @pytest.mark.parametrize("index", [0, 1])
-def test_each_file_projects_as_its_model_is_defined(rigs: tuple[CameraRig, ...], index: int) -> None:
+def test_each_file_projects_as_its_model_is_defined(rigs: list[CameraRig], index: int) -> None:
     name = f"cam{index}"
     expected = (
         kannala_brandt(RAYS, *KB4["intrinsics"][index], *KB4["distortion"][index]),
@@ -141,19 +130,10 @@ def test_each_file_projects_as_its_model_is_defined(rigs: tuple[CameraRig, ...],
         assert_projects(rig.cameras[name], pixels, RAYS, tolerance=1e-10)
 
 
-def test_extrinsics_of_both_programs_agree(rigs: tuple[CameraRig, ...]) -> None:
+def test_extrinsics_of_both_programs_agree(rigs: list[CameraRig]) -> None:
     """Kalibr's file takes the IMU to the camera, Basalt's the camera to the IMU: 0.034° and 1.8 mm apart."""
     kalibr, basalt, _ = (rig.world_from_camera.numpy() for rig in rigs)
     for one, other in zip(kalibr, basalt, strict=True):
         cosine = (np.trace(one[:3, :3].T @ other[:3, :3]) - 1) / 2
         assert np.degrees(np.arccos(min(cosine, 1.0))) < 0.05
         assert np.linalg.norm(one[:3, 3] - other[:3, 3]) < 0.002
-
-
-def test_other_published_calibrations_are_read() -> None:
-    fisheyes = read_cameras(published() / "kitti360_mei.yaml")
-    assert {type(camera) for camera in fisheyes.values()} == {UnifiedCamera}
-    assert type(read_camera(published() / "ocam_catadioptric.txt")) is OCamCamera
-    t265 = read_rig(published() / "t265_basalt_kb4.json")
-    baseline = (t265.positions[0] - t265.positions[1]).norm().item()
-    assert baseline == pytest.approx(0.064, abs=0.001)  # as its data sheet says

@@ -19,12 +19,6 @@ def camera(request: pytest.FixtureRequest) -> Camera:
     return MODELS[request.param](1.0).to(torch.float64)
 
 
-def corners(image_size: tuple[int, int]) -> torch.Tensor:
-    """Edges of the first and the last pixel, (2, 2)."""
-    height, width = image_size
-    return torch.tensor([[-0.5, -0.5], [width - 0.5, height - 0.5]], dtype=torch.float64)
-
-
 def test_the_same_rays_go_through_resized_pixels(camera: Camera) -> None:
     pixels = camera.pixel_grid()[::5, ::5].reshape(-1, 2)
     directions, valid = camera.unproject(pixels)
@@ -42,16 +36,6 @@ def test_the_same_rays_go_through_resized_pixels(camera: Camera) -> None:
             rtol=0,
             atol=1e-9,
         )
-
-
-def test_the_images_edges_stay_edges(camera: Camera) -> None:
-    resized = camera.resized((37, 51))
-    torch.testing.assert_close(
-        resized.unproject(corners((37, 51))).directions,
-        camera.unproject(corners(camera.image_size)).directions,
-        rtol=0,
-        atol=1e-12,
-    )
 
 
 def test_resizing_back_gives_the_camera_back(camera: Camera) -> None:

@@ -291,15 +291,6 @@ def test_seam_and_poles_of_a_panorama(size: tuple[int, int]) -> None:
             assert (values - expected).abs().max() < bound, mode
 
 
-def test_seam_mixes_the_first_and_the_last_column() -> None:
-    image = torch.zeros(1, 4, 8, dtype=torch.float64)
-    image[..., 0], image[..., 7] = 1.0, 2.0
-    source = EquirectangularCamera((4, 8)).to(torch.float64)
-    half = turn(0, math.pi / 8, 0)  # half a column
-    values = remap(image, source, source, half)
-    torch.testing.assert_close(values[0, :, 0], torch.full((4,), 1.5, dtype=torch.float64))
-
-
 def test_a_panorama_without_poles_ends_at_its_edges() -> None:
     """Its first row goes on unchanged for half a pixel; what is behind the camera has no part in it."""
     source = EquirectangularCamera((16, 64), math.pi / 2).to(torch.float64)
@@ -488,36 +479,29 @@ def test_balance_goes_from_all_valid_to_all_kept(size: tuple[int, int], view: in
 # Derivatives, devices, compilers --------------------------------------------------------------------------------------
 
 
+PATCH = PinholeCamera([2.1, 2.3], [1.9, 1.4], (3, 4)).to(torch.float64)
+AHEAD, BEHIND = [0.1, 0.2, 0.3], [-0.6, 3.0, 0.1]
+SOURCES = {
+    "fisheye": (FisheyeCamera.from_field_of_view((9, 11), math.radians(200)).to(torch.float64), AHEAD),
+    "across the seam": (EquirectangularCamera((6, 12)).to(torch.float64), BEHIND),
+}
+
+
 @pytest.mark.parametrize("mode", ["bilinear", "area", "bicubic", "depth"])
-def test_gradients(mode: str) -> None:
+@pytest.mark.parametrize("name", SOURCES)
+def test_gradients(name: str, mode: str) -> None:
     """By image, rotation and the intrinsics of both cameras."""
-    source = FisheyeCamera.from_field_of_view((9, 11), math.radians(200)).to(torch.float64)
-    angles = torch.tensor([0.1, 0.2, 0.3], dtype=torch.float64, requires_grad=True)
-    image = noise(1, 9, 11).requires_grad_()
-    focal = torch.tensor(2.6, dtype=torch.float64, requires_grad=True)
-    new_focal = torch.tensor([2.1, 2.3], dtype=torch.float64, requires_grad=True)
+    source, start = SOURCES[name]
+    intrinsics = [getattr(camera, key) for camera in (source, PATCH) for key in camera.intrinsic_names[:1]]
+    leaves = [noise(1, *source.image_size), torch.tensor(start).double(), *intrinsics]
 
-    def function(image: Tensor, angles: Tensor, focal: Tensor, new_focal: Tensor) -> Tensor:
-        taken = FisheyeCamera("equidistant", focal, source.principal_point, (9, 11), source.max_angle)
-        wanted = PinholeCamera(new_focal, torch.tensor([1.9, 1.4], dtype=torch.float64), (3, 4))
+    def function(image: Tensor, angles: Tensor, *focal: Tensor) -> Tensor:
+        taken = source.with_intrinsics(focal_length=focal[0]) if len(focal) > 1 else source
         rotation = transform_from_axis_angle(angles, torch.zeros(3, dtype=torch.float64))[:3, :3]
-        return remap(image, taken, wanted, rotation, mode)
+        return remap(image, taken, PATCH.with_intrinsics(focal_length=focal[-1]), rotation, mode)
 
-    assert torch.autograd.gradcheck(function, (image, angles, focal, new_focal), fast_mode=True)
-
-
-@pytest.mark.parametrize("mode", ["bilinear", "area", "bicubic"])
-def test_gradients_across_the_seam(mode: str) -> None:
-    source = EquirectangularCamera((6, 12)).to(torch.float64)
-    target = PinholeCamera([1.3, 1.3], [1.6, 1.4], (4, 4)).to(torch.float64)
-    image = noise(1, 6, 12).requires_grad_()
-    angles = torch.tensor([-0.6, 3.0, 0.1], dtype=torch.float64, requires_grad=True)
-
-    def function(image: Tensor, angles: Tensor) -> Tensor:
-        rotation = transform_from_axis_angle(angles, torch.zeros(3, dtype=torch.float64))[:3, :3]
-        return remap(image, source, target, rotation, mode)
-
-    assert torch.autograd.gradcheck(function, (image, angles), fast_mode=True)
+    inputs = tuple(leaf.detach().clone().requires_grad_() for leaf in leaves)
+    assert torch.autograd.gradcheck(function, inputs, fast_mode=True)
 
 
 @MODES

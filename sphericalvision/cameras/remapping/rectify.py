@@ -132,9 +132,6 @@ class RectifiedPair:
     def project(self, points: Float[Tensor, "P 3"]) -> Projection:
         """Pixels ``(2, P, 2)`` of points ``(P, 3)`` of the world in both images, and whether both camera and image
         have them, ``(2, P)``.
-
-        Raises:
-            ShapeError: ``points`` is not (P, 3).
         """
         pixels, valid = self.rig.project(points)
         if self.kind == "cassini":
@@ -147,9 +144,6 @@ class RectifiedPair:
         """Unit directions ``(*, 3)`` in the world of pixels ``(*, 2)``, of all pixels ``(h, w, 3)`` when not given.
 
         The direction is the same for both images; it starts at each camera's own place.
-
-        Raises:
-            ShapeError: ``pixels`` is not (*, 2).
         """
         pose = self.rig.world_from_camera[0, :3, :3]
         if pixels is None:

@@ -93,11 +93,7 @@ def remap_mask(
     """Return where ``remap`` finds values, bool ``(*b, h', w')``: where both cameras look and, with a mask, usable
     pixels were found.
 
-    For depth, ``mask=depth > 0`` says which pixels are known.
-
-    Raises:
-        ShapeError: see ``remap``.
-        ArgumentError: see ``remap``.
+    For depth, ``mask=depth > 0`` says which pixels are known. Errors are those of ``remap``.
 
     Examples:
         >>> from sphericalvision.cameras import EquirectangularCamera, FisheyeCamera
@@ -114,7 +110,8 @@ class Remap(LookupModule):
 
     The tables are computed in float64 and kept in ``dtype`` as buffers that are not part of the state dict; they move
     with ``.to`` and have no gradient. A call costs little more than one ``grid_sample``; with ``"area"``, up to 64
-    samples for every target pixel where the image shrinks. ``mask()`` returns where results are valid.
+    samples for every target pixel where the image shrinks. ``mask()`` returns where results are valid. Errors are those
+    of ``remap``.
 
     Args:
         source: camera that takes the images.
@@ -125,10 +122,6 @@ class Remap(LookupModule):
         mask: ``(*b, h, w)``, usable pixels of every image.
         dtype: of the tables; torch's default if not given.
         device: of the tables; the source's if not given.
-
-    Raises:
-        ShapeError: see ``remap``.
-        ArgumentError: see ``remap``.
 
     Examples:
         >>> import math

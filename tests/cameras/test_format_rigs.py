@@ -142,7 +142,7 @@ FOLDERS = {
         {f"ocam{number}.txt": TEXTS["lens.txt"] for number in range(1, 12)}
         | {"poses.txt": "".join(f"0 0 0 {number} 0 0\n" for number in range(1, 12))},
         " ".join(f"cam{number}" for number in range(1, 12)), "ahead " * 11,
-        [[number / 1000, 0, 0] for number in range(1, 12)], translation_unit="mm",
+        [[number / 100, 0, 0] for number in range(1, 12)], translation_unit="cm",
     ),
     "euroc": Folder(
         {"cam2/sensor.yaml": sample("sensor.yaml", T_BS=flat(np.eye(4))), "cam10/sensor.yaml": TEXTS["sensor.yaml"]},

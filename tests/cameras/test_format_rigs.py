@@ -57,7 +57,9 @@ def assert_stand(rig: CameraRig, looking: list[str], positions: Any, tolerance: 
     """Cameras look along these axes from these positions, and are upright."""
     axes = torch.tensor([AXES[name] for name in looking]).to(rig.axes)
     torch.testing.assert_close(rig.axes, axes, rtol=0, atol=tolerance)
-    torch.testing.assert_close(rig.positions, torch.tensor(positions).to(rig.axes), rtol=0, atol=tolerance)
+    torch.testing.assert_close(
+        rig.positions, torch.tensor(positions, dtype=rig.axes.dtype), rtol=0, atol=tolerance
+    )
     down = torch.tensor([0.0, 1.0, 0.0]).to(rig.axes).expand(len(rig), 3)
     torch.testing.assert_close(rig.world_from_camera[:, :3, 1], down, rtol=0, atol=tolerance)
 

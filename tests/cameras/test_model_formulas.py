@@ -305,13 +305,6 @@ ENDS: dict[
         )
         for alpha, beta in ((0.3, 1.4), (0.5, 0.8), (0.63, 1.04), (0.75, 2.0), (1.0, 0.5))
     },
-    "double sphere": (
-        lens(DoubleSphereCamera, -0.2, 0.6),
-        lambda t: (
-            two_spheres(np.stack((np.sin(t), 0 * t, np.cos(t)), -1), -0.2, 0.6)[:, 0] / FOCAL[0]
-            - CENTER[0] / FOCAL[0]
-        ),
-    ),
 }
 
 

@@ -171,7 +171,7 @@ WORDS: dict[str, list[tuple[str, str, str]]] = {  # file -> what stands in it, w
         ("cameras:", "scale: 0.5\ncameras:", "scale: expected 1"),
         ("type: equidistant", "type: fisheye", "expected one of none, equidistant"),
     ],
-    "atan.yaml": [("cam_width", "crop: 1\ncam_width", "'crop' is not understood")],
+    "atan.yaml": [("cam_width", "crop: 1, cam_width", "'crop' is not understood")],
     "okvis.yaml": [("cameras:", "binning: 2\ncameras:", "'binning' is not understood")],
     "settings.yaml": [("Camera.fps", "resize: 2\nCamera.fps", "'resize' is not understood")],
     "camchain.yaml": [

@@ -111,6 +111,7 @@ COMPLETE_WITHOUT = {  # keys of which the rest is a file as its producers write 
     "image_02.yaml": "camera_name",
     "pinhole.yaml": "camera_name",
     "kannala.yaml": "camera_name",
+    "stella_perspective.yaml": "name",
 }
 
 

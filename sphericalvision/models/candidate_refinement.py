@@ -81,14 +81,18 @@ class CandidateRefinement(nn.Module):
         state: channels of ``FusedLogits``.
         width: channels of the convolutions.
         blocks: residual blocks.
+        details: whether what is around vertices in finer images may be given as well; see ``appearance_around``.
 
     References:
         Bleyer et al. (2011), "PatchMatch stereo", for candidates from the surroundings; Tankovich et al. (2021),
         "HITNet: hierarchical iterative tile refinement network".
     """
 
-    def __init__(self, state: int, width: int = 16, blocks: int = 1) -> None:
+    def __init__(self, state: int, width: int = 16, blocks: int = 1, details: bool = False) -> None:
         super().__init__()
+        self.details = HexConv2d(2 * (4 + 3), width, bias=False) if details else None
+        if self.details is not None:
+            nn.init.zeros_(self.details.weight)
         self.entry = HexConv2d(state + 4 * 4 + 7, width, bias=True)
         self.block = nn.Sequential(*(HexResidualBlock(width) for _ in range(blocks)))
         self.exit = HexConv2d(width, 4 + 3, bias=True)
@@ -102,6 +106,7 @@ class CandidateRefinement(nn.Module):
         appearance: AppearanceAtDepth,
         state: Float[Tensor, "B S V_coarse"],
         num_hypotheses: int,
+        around: Float[Tensor, "B two D V"] | None = None,
     ) -> RefinedIndex:
         """Return index, confidence, sky, what is seen and the second best index, ``(B, V)``.
 
@@ -110,6 +115,7 @@ class CandidateRefinement(nn.Module):
             appearance: what cameras see at each of them, K = 4.
             state: ``(B, S, V_coarse)`` one level coarser.
             num_hypotheses: N.
+            around: ``(B, 2, 7, V)``, what cameras see around vertices at the nearest and at the farthest candidate.
         """
         index, likely, step, spread = candidates
         color, deviation, cameras = appearance
@@ -126,8 +132,10 @@ class CandidateRefinement(nn.Module):
             step[:, None] / 4,
             spread[:, None] / 4,
         )
-        values = self.block(self.entry(torch.cat((icosphere_upsample(state), *entries), 1)))
-        scores, *others = self.exit(F.relu(values)).split((4, 1, 1, 1), 1)
+        values = self.entry(torch.cat((icosphere_upsample(state), *entries), 1))
+        if self.details is not None:
+            values = values + self._around(around)
+        scores, *others = self.exit(F.relu(self.block(values))).split((4, 1, 1, 1), 1)
         correction, confidence, sky = (values.squeeze(1) for values in others)
         # A mean of candidates by their weights, not the best one: weights are what has a gradient.
         weights = scores.softmax(1)
@@ -138,6 +146,14 @@ class CandidateRefinement(nn.Module):
             weight, best = others.max(1, keepdim=True)
             second = torch.where(weight > PLAUSIBLE, index.gather(1, best), index[:, 3:]).squeeze(1)
         return RefinedIndex(chosen, confidence, sky, seen, second)
+
+    def _around(self, around: Tensor | None) -> Tensor:
+        """What the layer for details adds; nothing without any."""
+        assert self.details is not None
+        if around is None:  # of several processes each wants a gradient for each weight
+            return 0 * self.details.weight.sum()
+        deviations, colors = around.split((4, 3), 2)
+        return self.details(torch.cat((3 * deviations, colors), 2).flatten(1, 2))  # type: ignore[no-any-return]
 
 
 def finer_logits(fused: FusedLogits, index: Float[Tensor, "B V_fine"]) -> FusedLogits:

@@ -42,7 +42,11 @@ from sphericalvision.sweep import (
     semi_global_costs,
     semi_global_tables,
 )
-from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth, appearance_at_depth
+from sphericalvision.sweep.appearance_at_depth import (
+    AppearanceAtDepth,
+    appearance_around,
+    appearance_at_depth,
+)
 from sphericalvision.sweep.ring_mean import coarser_images, ids_of_coarser_level
 from sphericalvision.sweep.semi_global import SemiGlobalTables, check_tables
 from sphericalvision.sweep.visibility import check_seen, seen_in_view
@@ -129,6 +133,7 @@ class RefinedSweepNet(DepthNetwork):
         blocks: residual blocks of the U-Net, one number or one a level.
         refining_blocks: residual blocks of the refinement.
         coarse_level: of clues and fusion, at most ``level - 1``, which it is when not given.
+        details: whether steps of the refinement, but for the last, look at boundaries in images one level finer.
 
     Raises:
         ArgumentError: for no widths, or a level, or ``coarse_level + 1``, below their number.
@@ -160,6 +165,7 @@ class RefinedSweepNet(DepthNetwork):
         blocks: int | Sequence[int] = (1, 2, 2, 3, 3),
         refining_blocks: int = 2,
         coarse_level: int | None = None,
+        details: bool = False,
     ) -> None:
         if not widths:
             raise ArgumentError("widths: expected the channels of one level or more, got none")
@@ -179,7 +185,7 @@ class RefinedSweepNet(DepthNetwork):
         scale = {"level": self.coarse_level + 1, "num_hypotheses": inner_hypotheses, "min_depth": min_depth}
         self.prior = IcoSweepNet(**{**(PRIOR if prior is None else prior), **scale})
         self.fusion = LogitFusion(inner_hypotheses, tuple(widths), STATE, blocks)
-        self.refinement = CandidateRefinement(STATE, blocks=refining_blocks)
+        self.refinement = CandidateRefinement(STATE, blocks=refining_blocks, details=details)
         self.register_buffer("up", -icosphere_vertices(self.coarse_level)[:, 1], persistent=False)
 
     @classmethod
@@ -317,8 +323,11 @@ class RefinedSweepNet(DepthNetwork):
         for number, (images, seen) in enumerate(views):
             candidates = candidates_of(fused, modes, None if hints is None else hints[number])
             appearance = self._appearance(candidates.index, images, seen, offsets)
+            around = None
+            if self.refinement.details is not None and number + 1 < len(views):
+                around = self._around(candidates.index[:, 1:3], *views[number + 1], offsets)
             refined: RefinedIndex = self.refinement(
-                candidates, appearance, fused.state, self.inner_hypotheses
+                candidates, appearance, fused.state, self.inner_hypotheses, around
             )
             answers.append(refined)
             if number + 1 < len(views):
@@ -327,9 +336,17 @@ class RefinedSweepNet(DepthNetwork):
 
     def _appearance(self, index: Tensor, images: Tensor, seen: Tensor, offsets: Tensor) -> AppearanceAtDepth:
         """What cameras see at indices ``(B, K, V)``."""
+        offsets = offsets.expand(images.shape[0], -1, -1)
+        return appearance_at_depth(images, seen, offsets, self._inverse_depth(index))
+
+    def _around(self, index: Tensor, images: Tensor, seen: Tensor, offsets: Tensor) -> Tensor:
+        """What cameras see around vertices at the nearest and the farthest index, ``(B, 2, V)``, at a boundary."""
+        offsets, boundary = offsets.expand(images.shape[0], -1, -1), index[:, 0] - index[:, 1] > 1
+        return appearance_around(images, seen, offsets, self._inverse_depth(index), boundary)
+
+    def _inverse_depth(self, index: Tensor) -> Tensor:
         index = index.detach().clamp(0, self.inner_hypotheses - 1)
-        inverse_depth = inverse_depth_from_index(index, self.inner_hypotheses, self.min_depth)
-        return appearance_at_depth(images, seen, offsets.expand(images.shape[0], -1, -1), inverse_depth)
+        return inverse_depth_from_index(index, self.inner_hypotheses, self.min_depth)
 
     def training_loss(
         self,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the cameras of a rig see at given depths: colours, and how far they agree."""
+"""What the cameras of a rig see at given depths: colours, and how far they agree, at vertices and around them."""
 
 from __future__ import annotations
 
@@ -11,12 +11,19 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.geometry.lookup import weighted_rows
-from sphericalvision.icosphere import TriangleLocator, icosphere_vertices, level_from_num_vertices
+from sphericalvision.icosphere import (
+    TriangleLocator,
+    icosphere_neighbors,
+    icosphere_vertices,
+    level_from_num_vertices,
+)
 from sphericalvision.kernels import Operator
 from sphericalvision.shapes import check_shapes
+from sphericalvision.sweep.ring_mean import ids_of_coarser_level
 from sphericalvision.sweep.visibility import check_seen
+from sphericalvision.tables import constant_table
 
-__all__ = ["AppearanceAtDepth", "appearance_at_depth"]
+__all__ = ["AppearanceAtDepth", "appearance_around", "appearance_at_depth"]
 
 
 class AppearanceAtDepth(NamedTuple):
@@ -60,9 +67,104 @@ def appearance_at_depth(
         level_from_num_vertices(inverse_depths.shape[-1]), offsets.dtype, images.device
     ).T.contiguous()
     locator = TriangleLocator(level_from_num_vertices(images.shape[-1]), offsets.dtype, images.device)
-    weight = check_seen(seen, images).to(images)[:, :, None]
-    rows = torch.cat((images * weight, weight), 2).transpose(2, 3).contiguous()  # colours next to each other
+    rows = _rows(images, seen)
     return AppearanceAtDepth(*_appearance(rows, locator, vertices, offsets, inverse_depths))
+
+
+@check_shapes
+@torch.no_grad()
+def appearance_around(
+    images: Float[Tensor, "B n C V_image"],
+    seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"],
+    offsets: Float[Tensor, "B n 3"],
+    inverse_depths: Float[Tensor, "B K V"],
+    chosen: Bool[Tensor, "B V"],
+) -> Float[Tensor, "B K D V"]:
+    """Return what cameras see around vertices of an icosphere: in their directions and half-way to their neighbours.
+
+    At a boundary images of the vertices' own level mix both sides; those of the next finer level have two to four
+    pixels there. The D = 4 + C numbers are, in the unit of the images: the deviation, as of ``appearance_at_depth``, at
+    the vertex, its mean and its maximum over the seven directions; how far colours vary over these; and the colour at
+    the vertex. There is no gradient.
+
+    Args:
+        images: as for ``appearance_at_depth``, best one level finer than the vertices; so are ``seen`` and
+            ``offsets``.
+        inverse_depths: ``(B, K, V)`` in 1/m, of a vertex and all that is around it.
+        chosen: ``(B, V)``; the result is 0 elsewhere, and a CPU computes nothing there.
+
+    Examples:
+        >>> images, seen = torch.ones(1, 2, 3, 642), torch.ones(2, 642, dtype=torch.bool)
+        >>> offsets = torch.tensor([[[0.1, 0.0, 0.0], [-0.1, 0.0, 0.0]]])
+        >>> chosen = torch.arange(162)[None] < 100
+        >>> around = appearance_around(images, seen, offsets, torch.ones(1, 2, 162), chosen)
+        >>> around.shape, around[0, :, 4:, 99].unique(), around[..., 100:].any()
+        (torch.Size([1, 2, 7, 162]), tensor([1.]), tensor(False))
+    """
+    level = level_from_num_vertices(inverse_depths.shape[-1])
+    directions = _seven_directions(level, images.device).to(offsets.dtype)
+    locator = TriangleLocator(level_from_num_vertices(images.shape[-1]), offsets.dtype, images.device)
+    return _around(_rows(images, seen), locator, directions, offsets, inverse_depths, chosen)
+
+
+def _rows(images: Tensor, seen: Tensor) -> Tensor:
+    """``(B, n, V, C + 1)``: colours next to each other, and whether they were seen."""
+    weight = check_seen(seen, images).to(images)[:, :, None]
+    return torch.cat((images * weight, weight), 2).transpose(2, 3).contiguous()
+
+
+@constant_table
+def _seven_directions(level: int, device: torch.device) -> Tensor:
+    """Directions ``(3, V, 7)`` of each vertex and half-way to its neighbours; of five it counts itself again."""
+    ids = ids_of_coarser_level(level + 1, level, device)[:, None]
+    neighbors = icosphere_neighbors(level + 1, device)[ids[:, 0]]
+    ring = torch.cat((ids, torch.where(neighbors < 0, ids, neighbors)), 1)
+    return icosphere_vertices(level + 1, device=device)[ring].permute(2, 0, 1).contiguous()
+
+
+def _around_all(
+    rows: Tensor,
+    locator: TriangleLocator,
+    directions: Tensor,
+    offsets: Tensor,
+    inverse_depths: Tensor,
+    chosen: Tensor,
+) -> Tensor:
+    """Numbers ``(B, K, D, V)``, computed everywhere."""
+    inverse_depths = inverse_depths[..., None].expand(*inverse_depths.shape, directions.shape[-1]).flatten(2)
+    color, deviation, _ = _appearance(rows, locator, directions.flatten(1), offsets, inverse_depths)
+    deviation = deviation.unflatten(-1, directions.shape[1:])
+    color = color.unflatten(-1, directions.shape[1:])
+    variation = (color - color.mean(-1, keepdim=True)).abs().mean((2, -1))
+    numbers = torch.stack((deviation[..., 0], deviation.mean(-1), deviation.amax(-1), variation), 2)
+    return torch.cat((numbers, color[..., 0]), 2) * chosen[:, None, None]
+
+
+def _around_chosen(
+    rows: Tensor,
+    locator: TriangleLocator,
+    directions: Tensor,
+    offsets: Tensor,
+    inverse_depths: Tensor,
+    chosen: Tensor,
+) -> Tensor:
+    """The same, computed at the chosen vertices of one sample after the other."""
+    batch, depths, vertices = inverse_depths.shape
+    result = rows.new_zeros(batch, depths, 3 + rows.shape[-1], vertices)
+    for sample, ids in enumerate(chosen[number].nonzero().squeeze(1) for number in range(batch)):
+        one = slice(sample, sample + 1)
+        result[sample][..., ids] = _around_all(
+            rows[one],
+            locator,
+            directions[:, ids],
+            offsets[one],
+            inverse_depths[one][..., ids],
+            chosen[one][:, ids],
+        )[0]
+    return result
+
+
+_around = Operator(_around_all, cpu=_around_chosen)
 
 
 def _by_sample(

@@ -14,6 +14,7 @@ from sphericalvision.data import ToSphere
 from sphericalvision.data.augmentation.fivefold import rotate_fivefold
 from sphericalvision.icosphere import Icosphere, icosphere_neighbors
 from sphericalvision.icosphere.hierarchy import icosphere_vertex_parents
+from sphericalvision.kernels import kernels
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import IcoSweepNet, RefinedSweepNet, pretrained
 from sphericalvision.models.candidate_refinement import RARE, candidates_of
@@ -23,7 +24,7 @@ from sphericalvision.models.refinedsweepnet import FARTHEST
 from sphericalvision.models.tried_hypotheses import two_modes
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.sweep import DepthHint, index_from_depth, inverse_depth_from_index
-from sphericalvision.sweep.appearance_at_depth import appearance_at_depth
+from sphericalvision.sweep.appearance_at_depth import appearance_around, appearance_at_depth
 from sphericalvision.sweep.ring_mean import ids_of_coarser_level
 
 PRIOR = {
@@ -325,6 +326,47 @@ def test_cameras_agree_at_the_true_depth(frame):
     assert right < 0.7 * near
     assert color.abs().max() <= 1 + 1e-5
     assert cameras.max() <= 4
+
+
+def test_around_the_chosen_vertices_cameras_agree_at_the_true_depth(frame):
+    images, rig, seen, true = frame
+    index = true[:, ids_of_coarser_level(LEVEL, LEVEL - 1)]
+    inverse_depths = torch.stack((index, index * 0.5), 1) / (15 * 0.55)
+    chosen, offsets = torch.arange(642)[None] % 3 == 0, (rig.center - rig.positions)[None]
+    around = appearance_around(images, seen, offsets, inverse_depths, chosen)
+    color, deviation, _ = appearance_at_depth(images, seen, offsets, inverse_depths)
+    torch.testing.assert_close(around[:, :, 0], deviation * chosen)
+    torch.testing.assert_close(around[:, :, 4:], color * chosen[:, None, None])
+    assert (around[:, :, 1] <= around[:, :, 2]).all()
+    right, far = around[0, :, 1:3][..., chosen[0]].mean(-1)
+    assert (right < 0.8 * far).all()
+    with kernels("graph"):  # computed everywhere, and then left out
+        torch.testing.assert_close(
+            appearance_around(images, seen, offsets, inverse_depths, chosen), around, rtol=1e-3, atol=1e-4
+        )
+
+
+def test_details_change_nothing_before_training_and_learn_where_images_are_finer(net, frame):
+    images, rig, seen, true = frame
+    plain = net.with_changes(coarse_level=2)
+    detailed = RefinedSweepNet(**{**plain.hyperparameters, "details": True}).eval()
+    assert detailed.load_state_dict(plain.state_dict(), strict=False).missing_keys == [
+        "refinement.details.weight"
+    ]
+    with torch.inference_mode():
+        for one, other in zip(
+            plain.predict(images, rig, seen), detailed.predict(images, rig, seen), strict=True
+        ):
+            assert torch.equal(one, other)
+    torch.nn.init.normal_(detailed.refinement.exit.weight, 0, 0.1)
+    for level, learns in ((LEVEL, True), (LEVEL - 1, False)):
+        at_level, ids = detailed.at_level(level), ids_of_coarser_level(LEVEL, level)
+        views = images[..., ids], rig, seen[..., ids], true[:, ids], true[:, ids] > 0, depth_index_huber
+        detailed.zero_grad()
+        at_level.training_loss(*views).backward()
+        gradient = detailed.refinement.details.weight.grad  # of several processes each wants one
+        assert gradient is not None
+        assert bool(gradient.any()) == learns
 
 
 def test_unet_keeps_levels_apart_at_first():

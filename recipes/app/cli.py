@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Container, Mapping
 from dataclasses import is_dataclass
 from importlib.metadata import metadata
 from pathlib import Path
@@ -16,17 +17,20 @@ from omegaconf import OmegaConf
 from rich.console import Console
 from rich.table import Table
 
-from sphericalvision.core import ArgumentError, SphericalVisionError
+from sphericalvision.core import ArgumentError, FileFormatError, SphericalVisionError
 from sphericalvision.io.files import write_bytes
+from sphericalvision.io.yaml_files import read_yaml
 from sphericalvision.recipes.app.checks import check_node, flat
 from sphericalvision.recipes.app.words import unquote_paths
 
 __all__ = [
     "build",
+    "check_settings",
     "choose_device",
     "console",
     "print_config",
     "print_table",
+    "read_settings",
     "say",
 ]
 
@@ -92,6 +96,47 @@ def print_config(config: Any, folder: Path | None = None) -> None:
         resolved = OmegaConf.create(OmegaConf.to_container(node, resolve=True, throw_on_missing=False))
         write_bytes(folder / "config.yaml", OmegaConf.to_yaml(resolved).encode())
         say(f"All of it is in {folder / 'config.yaml'}")
+
+
+def read_settings(path: Path) -> dict[str, Any]:
+    """Settings that an earlier run left in a file, by key; none without the file.
+
+    Raises:
+        FileFormatError: the file is damaged.
+    """
+    if not path.is_file():
+        return {}
+    settings = read_yaml(path)
+    if not isinstance(settings, dict):
+        raise FileFormatError(
+            f"{path}: expected the settings of the run that wrote it; choose another output=..., or remove that folder"
+        )
+    return settings
+
+
+def check_settings(
+    folder: Path, earlier: Mapping[str, Any], settings: Mapping[str, Any], free: Container[str] = ()
+) -> None:
+    """Refuse to mix results of other settings into a folder, but for the settings that are ``free``.
+
+    Raises:
+        ArgumentError: a setting is another than that of the earlier run, if there was one.
+    """
+    # As text: to YAML 1e-5 is a word, to Python a number; and YAML has no tuples.
+    old, new = (
+        {key: str(list(value) if isinstance(value, tuple) else value) for key, value in values.items()}
+        for values in (earlier, settings)
+    )
+    changes = [
+        f"{key} was {old.get(key)}, is {new.get(key)}"
+        for key in {**old, **new}
+        if key not in free and old.get(key, "None") != new.get(key, "None")
+    ]
+    if earlier and changes:
+        raise ArgumentError(
+            f"output: {folder} holds results of other settings ({', '.join(changes)}); set them as before, choose "
+            "another output=..., or remove that folder"
+        )
 
 
 def say(text: str, style: str | None = None) -> None:

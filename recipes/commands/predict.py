@@ -36,13 +36,19 @@ from sphericalvision.capture.sources.moving import STILL, Moving
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.io.files import part_of_name
 from sphericalvision.io.images import write_mask
-from sphericalvision.io.yaml_files import read_yaml
 from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.models.weights.files import identity_of
 from sphericalvision.models.weights.pretrained import DEFAULT
 from sphericalvision.recipes.app.captures import AUTO, FLOOR, PosedCapture
 from sphericalvision.recipes.app.checks import flat
-from sphericalvision.recipes.app.cli import choose_device, console, print_config, say
+from sphericalvision.recipes.app.cli import (
+    check_settings,
+    choose_device,
+    console,
+    print_config,
+    read_settings,
+    say,
+)
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, OnlyWith, Positive, Share, Text
 from sphericalvision.sphere.intake import as_photographs
 
@@ -113,7 +119,7 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
         ArgumentError: the folder holds results of other settings.
         FileFormatError: images of some frames cannot be read; the others are done before that is reported.
     """
-    earlier = read_settings(folder)
+    earlier = read_settings(folder / SETTINGS)
     source = open_frames(config)
     calibrated = source.source if isinstance(source, Moving) else source  # whose rig all frames have
     placement = config.capture.placement(calibrated.rig)
@@ -130,7 +136,8 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
     if config.method == "network" and predictor.min_depth is not None:
         basis["network"] = identity_of(predictor.network)
     settings = {**flat(config), "min_depth": min_depth, BASIS: basis}
-    check_settings(settings, earlier, folder)
+    check_settings(folder, earlier, settings, (*FREE, BASIS))
+    check_settings(folder, earlier.get(BASIS) or {}, basis)
 
     if config.capture.up == FLOOR:
         rotation = floor_turn(predictor, source)
@@ -366,44 +373,6 @@ def output_settings(config: PredictConfig, source: Source) -> Settings:
         axes=config.capture.axes,
         posed=config.capture.poses is not None,
     )
-
-
-def read_settings(folder: Path) -> dict[str, Any]:
-    """Settings of the run that wrote a folder, by key; none where there was none.
-
-    Raises:
-        FileFormatError: the file that has them is damaged.
-    """
-    path = folder / SETTINGS
-    if not path.is_file():
-        return {}
-    settings = read_yaml(path)
-    if not isinstance(settings, dict):
-        raise FileFormatError(
-            f"{path}: expected the settings of the run that wrote it; choose another output=..., or remove that folder"
-        )
-    return settings
-
-
-def check_settings(settings: Mapping[str, Any], earlier: Mapping[str, Any], folder: Path) -> None:
-    """Refuse to mix results of other settings into a folder.
-
-    Raises:
-        ArgumentError: a setting that changes what frames become is another.
-    """
-    # As text: to YAML 1e-5 is a word, and to Python a number.
-    changes = [
-        f"{key} was {value}, is {settings[key]}"
-        for key, value in earlier.items()
-        if key in settings and key not in (*FREE, BASIS) and str(value) != str(settings[key])
-    ]
-    basis = dict(earlier.get(BASIS) or {})
-    others = [f"of another {name}" for name in basis if str(basis[name]) != str(settings[BASIS].get(name))]
-    if changes := changes or others:
-        raise ArgumentError(
-            f"output: {folder} holds results of other settings ({', '.join(changes)}); set them as before, choose "
-            "another output=..., or remove that folder"
-        )
 
 
 def write_settings(settings: Mapping[str, Any], predictor: Predictor, folder: Path) -> None:

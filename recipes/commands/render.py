@@ -22,14 +22,14 @@ from sphericalvision.data import write_omnistereo
 from sphericalvision.data.omnistereo.ground_truth import read_ground_truth
 from sphericalvision.data.omnistereo.releases import RELEASES, Release
 from sphericalvision.io.images import read_image
-from sphericalvision.io.yaml_files import read_yaml, write_yaml
-from sphericalvision.recipes.app.cli import build, console, print_config
+from sphericalvision.io.yaml_files import write_yaml
+from sphericalvision.recipes.app.cli import build, check_settings, console, print_config, read_settings
 from sphericalvision.recipes.app.kinds import STRICT, Count, Number, OnlyWith, Positive, Text
 from sphericalvision.scenes.meshes import MeshFiles, mesh_files
 from sphericalvision.scenes.samples import recorded_sample
 from sphericalvision.scenes.world import NATURAL_MIN_DEPTH, World
 
-__all__ = ["RECORD", "RenderConfig", "check_settings", "missing_frames", "render", "settings_of"]
+__all__ = ["RECORD", "RenderConfig", "missing_frames", "render", "settings_of"]
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -65,8 +65,13 @@ def render(config: RenderConfig) -> int:
     panoramas = any(isinstance(camera, EquirectangularCamera) for camera in rig.cameras.values())
     release = config.release or ("tiff" if panoramas else "png")
     frames = range(config.first_frame, config.first_frame + config.num_frames)
-    settings = settings_of(config, rig, release)
-    check_settings(folder, settings, release)
+    settings, earlier = settings_of(config, rig, release), read_settings(folder / RECORD)
+    truths = folder / RELEASES[release].ground_truth_folder
+    if not earlier and truths.is_dir() and any(truths.iterdir()):
+        raise ArgumentError(
+            f"output: {folder} holds frames of unknown settings (no {RECORD}); choose another folder"
+        )
+    check_settings(folder, earlier, settings)
     missing = missing_frames(folder, frames, release, len(rig))
     print_config(config)
     if len(missing) < len(frames):
@@ -121,36 +126,6 @@ def settings_of(config: RenderConfig, rig: CameraRig, release: str) -> dict[str,
         "release": release,
         "rig": rig_fingerprint(rig, digits=6),
     }
-
-
-def check_settings(folder: Path, settings: dict[str, Any], release: str) -> None:
-    """Compare settings with those of the frames in a folder.
-
-    Raises:
-        ArgumentError: they differ, or the frames come from elsewhere.
-    """
-    path = folder / RECORD
-    if not path.is_file():
-        truths = folder / RELEASES[release].ground_truth_folder
-        if truths.is_dir() and any(truths.iterdir()):
-            raise ArgumentError(
-                f"output: {folder} holds frames of unknown settings (no {RECORD}); choose another folder"
-            )
-        return
-    try:
-        stored = read_yaml(path)
-        keys = {**settings, **stored}
-        differing = [key for key in keys if stored.get(key) != settings.get(key)]
-    except (FileFormatError, AttributeError, TypeError) as error:
-        raise FileFormatError(f"{path}: is damaged; choose another output=... folder ({error})") from None
-    if differing:
-        old, new = (
-            ", ".join(f"{key}={values.get(key)}" for key in differing) for values in (stored, settings)
-        )
-        raise ArgumentError(
-            f"output: {folder} holds frames rendered with {old}, this command has {new}; use the same settings to add "
-            "frames, or choose another folder"
-        )
 
 
 def missing_frames(root: Path, frames: range, release: str, num_cameras: int) -> list[int]:

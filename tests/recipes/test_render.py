@@ -104,7 +104,7 @@ def test_frames_of_other_settings_are_not_mixed_in(
     write_yaml(root / "rendered.yaml", {**settings, "release": "png", "rig": rig})
     message = failing("render", f"output={root}", "num_frames=1", *TINY, word)
     key, _, value = word.partition("=")
-    assert f"rendered with {key}={settings.get(key)}, this command has {key}={value}" in message
+    assert f"({key} was {settings.get(key)}, is {value})" in message
     assert [path.name for path in root.iterdir()] == ["rendered.yaml"]
 
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Literal
 
@@ -144,19 +144,22 @@ class Calibration:
                 dtype=dtype,
             )
 
-    def rig_or_cameras(self, dtype: torch.dtype | None = None) -> CameraRig | dict[str, Camera]:
-        """The rig of the file or, if it has no poses, its cameras by name.
+    def cameras_and_rig(
+        self, dtype: torch.dtype | None = None
+    ) -> tuple[Mapping[str, Camera], CameraRig | None]:
+        """The cameras of the file by name, and its rig; None if it has no poses.
 
         Raises:
             FileFormatError: the file holds neither.
         """
         try:
-            return self.rig(dtype)
+            rig = self.rig(dtype)
         except FileFormatError as no_rig:
             try:
-                return self.camera_models(dtype)
+                return self.camera_models(dtype), None
             except FileFormatError:
                 raise no_rig from None
+        return rig.cameras, rig
 
 
 def rig_from_file(

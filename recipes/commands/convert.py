@@ -5,6 +5,7 @@ to=kannala_brandt output=b.yaml``, ``calibration=a.yaml with=b.yaml``."""
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -57,22 +58,23 @@ def convert(config: ConvertConfig) -> dict[str, Conversion]:
     Raises:
         ArgumentError: an unknown model, format, camera or option; the message names the key.
     """
-    calibration = config.file.rig_or_cameras(torch.float64)
-    cameras = _chosen(calibration, config)
+    every, rig = config.file.cameras_and_rig(torch.float64)
+    cameras = every if config.camera is None else _chosen(every, config)
     if config.with_ is not None:
-        _compare(config, calibration, cameras)
+        _compare(config, list(every), rig, cameras)
         return {}
-    together = isinstance(calibration, CameraRig) and config.camera is None
+    if config.camera is not None:
+        rig = None
     if config.to not in (None, "ocam"):
         angles = {name: straighten(camera).angle for name, camera in cameras.items()}
-        if isinstance(calibration, CameraRig) and together:
-            calibration = straighten_rig(calibration)
-            cameras = calibration.cameras
+        if rig is not None:
+            rig = straighten_rig(rig)
+            cameras = rig.cameras
             _tell_turns(angles, "is a turn of its pose now")
         else:
             _tell_turns(angles, "no other model has, and without a pose nothing else can take it up")
     if config.format is not None:
-        check_choice("format", config.format, RIG_FORMATS if together else CAMERA_FORMATS)
+        check_choice("format", config.format, CAMERA_FORMATS if rig is None else RIG_FORMATS)
     converted = {name: _converted(name, camera, config) for name, camera in cameras.items()}
     _print(config, cameras, converted)
     if config.output is None:
@@ -81,8 +83,8 @@ def convert(config: ConvertConfig) -> dict[str, Conversion]:
     new = {name: conversion.camera for name, conversion in converted.items()}
     path = Path(config.output)
     path.parent.mkdir(parents=True, exist_ok=True)
-    if isinstance(calibration, CameraRig) and config.camera is None:
-        save_rig(calibration.replaced(new), path, config.format)
+    if rig is not None:
+        save_rig(rig.replaced(new), path, config.format)
     elif len(new) == 1:
         save_camera(next(iter(new.values())), path, config.format)
     else:
@@ -95,16 +97,21 @@ def convert(config: ConvertConfig) -> dict[str, Conversion]:
 
 
 def _compare(
-    config: ConvertConfig, calibration: CameraRig | dict[str, Camera], cameras: dict[str, Camera]
+    config: ConvertConfig, names: list[str], rig: CameraRig | None, cameras: Mapping[str, Camera]
 ) -> None:
-    """Print how far the cameras of two calibrations lie apart, by the angle from the axis, and their poses."""
+    """Print how far the cameras of two calibrations lie apart, by the angle from the axis, and their poses.
+
+    Args:
+        config: with both.
+        names: of all cameras of the first.
+        rig: of the first.
+        cameras: those that are compared.
+    """
     assert config.with_ is not None
     if wrong := [key for key in ("to", "output") if getattr(config, key) is not None]:
         raise ArgumentError(f"{wrong[0]}: counts only without with=..., which compares and converts nothing")
     with keys_named(calibration="with"):
-        other = replace(config.file, calibration=config.with_).rig_or_cameras(torch.float64)
-    others = other.cameras if isinstance(other, CameraRig) else other
-    names = list(calibration.cameras if isinstance(calibration, CameraRig) else calibration)
+        others, other = replace(config.file, calibration=config.with_).cameras_and_rig(torch.float64)
     if not set(names) <= set(others) and len(names) == len(others):
         # Files of other programs call cameras otherwise: their order counts.
         pairs = ", ".join(f"{name} with {other}" for name, other in zip(names, others, strict=True))
@@ -124,11 +131,11 @@ def _compare(
         ]
         columns = ["from the axis (°)", "mean (px)", "max (px)", "mean (°)", "max (°)"]
         print_table(f"{name}: {config.file.calibration} and {config.with_}", columns, rows)
-    if isinstance(calibration, CameraRig) and isinstance(other, CameraRig) and len(calibration) > 1:
+    if rig is not None and other is not None and len(rig) > 1:
         if set(names) <= set(other.names):
             other = other.subset(names)
-        if len(other) == len(calibration):
-            _compare_poses(calibration, other)
+        if len(other) == len(rig):
+            _compare_poses(rig, other)
 
 
 def _compare_poses(rig: CameraRig, other: CameraRig) -> None:
@@ -151,16 +158,14 @@ def _tell_turns(turns: dict[str, float], what: str) -> None:
             )
 
 
-def _chosen(calibration: CameraRig | dict[str, Camera], config: ConvertConfig) -> dict[str, Camera]:
-    cameras = calibration.cameras if isinstance(calibration, CameraRig) else calibration
-    if config.camera is None:
-        return cameras
-    if str(config.camera) not in cameras:
+def _chosen(cameras: Mapping[str, Camera], config: ConvertConfig) -> dict[str, Camera]:
+    name = str(config.camera)
+    if name not in cameras:
         raise ArgumentError(
             f"camera: expected one of {', '.join(cameras)}, the cameras of {config.file.calibration}, got "
             f"{config.camera!r}"
         )
-    return {str(config.camera): cameras[str(config.camera)]}
+    return {name: cameras[name]}
 
 
 def _converted(name: str, camera: Camera, config: ConvertConfig) -> Conversion:
@@ -179,7 +184,7 @@ def _converted(name: str, camera: Camera, config: ConvertConfig) -> Conversion:
         raise ArgumentError(f"{config.file.calibration}, {name}: {error}") from None
 
 
-def _print(config: ConvertConfig, cameras: dict[str, Camera], converted: dict[str, Conversion]) -> None:
+def _print(config: ConvertConfig, cameras: Mapping[str, Camera], converted: dict[str, Conversion]) -> None:
     rows = []
     for name, camera in cameras.items():
         new, largest, rms, _ = converted[name]

@@ -28,7 +28,7 @@ from sphericalvision.recipes.app.rigs import Calibration, keys_named
 from sphericalvision.sphere.intake import as_photographs
 from sphericalvision.viz import angle_map, coverage_panorama, rig_picture
 
-__all__ = ["InspectConfig", "inspect", "load_rig", "print_cameras", "print_poses", "save_pictures"]
+__all__ = ["InspectConfig", "inspect", "print_cameras", "print_poses", "save_pictures"]
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -44,14 +44,6 @@ class InspectConfig:
     picture_depths: list[Distance]
     level: Number
     output: Text
-
-
-def load_rig(config: InspectConfig) -> tuple[CameraRig, bool]:
-    """The whole rig of ``config.file``, and whether poses are known; a camera becomes a rig of one."""
-    content = config.file.rig_or_cameras()
-    if isinstance(content, CameraRig):
-        return content, True
-    return CameraRig(content, torch.eye(4).repeat(len(content), 1, 1)), False
 
 
 def print_cameras(rig: CameraRig, title: str) -> None:
@@ -119,7 +111,8 @@ def save_pictures(
 
 def inspect(config: InspectConfig, folder: Path) -> list[Path]:
     """Print what is to be known about ``config.file`` and write pictures to ``folder``; returns the files."""
-    whole, has_poses = load_rig(config)
+    models, posed_rig = config.file.cameras_and_rig()
+    whole = posed_rig or CameraRig(models, torch.eye(4).repeat(len(models), 1, 1))  # a camera is a rig of one
     names, labels = cameras_and_labels(config.cameras, whole)
     cameras = names or list(whole.names)
     rig = whole.subset(cameras)
@@ -141,11 +134,11 @@ def inspect(config: InspectConfig, folder: Path) -> list[Path]:
         if config.file.max_angle_deg is None:
             rig = visible_part(rig, samples)
     print_cameras(rig, str(config.file.calibration))
-    if has_poses:
+    if posed_rig is not None:
         print_poses(rig, config)
     else:
         console.print("The file has no poses, so baselines and overlap are not known.")
-    written = save_pictures(rig, has_poses, images, config, folder)
+    written = save_pictures(rig, posed_rig is not None, images, config, folder)
     for path in written:
         print(path)
     return written

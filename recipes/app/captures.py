@@ -7,7 +7,7 @@ import dataclasses
 import glob
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -51,8 +51,9 @@ __all__ = [
     "PosedCapture",
     "cameras_and_labels",
     "cut_to_visible",
-    "masked_by_itself",
     "print_labels",
+    "recorded_names",
+    "recorded_photographs",
     "visible_part",
     "with_own_body_masked",
 ]
@@ -122,9 +123,26 @@ class Capture(Calibration):
         return source
 
     def restrict(self, source: Source) -> None:
-        """Mask the rig's own body where that is asked for, and let fields of view end where the images are dark."""
+        """Mask the rig's own body where that is asked for, and let fields of view end where the images are dark.
+
+        Raises:
+            ArgumentError: live cameras, which cannot be read twice, are to be masked.
+        """
         if self.masks == AUTO:
-            source.rig = masked_by_itself(source)
+            if source.live:
+                raise ArgumentError(
+                    "masks: auto reads the frames before the first is predicted, which live cameras do not allow; "
+                    "record some, predict with masks=auto, and give its masks: masks='.../masks/{camera}.png'"
+                )
+            from sphericalvision.capture.preparation.own_body import MOST
+
+            names = source.names(Selection())
+            chosen = (
+                None if names is None else set(spread_evenly(names, MOST))
+            )  # whichever are to be predicted
+            frames = source.frames(Selection(), lambda name: chosen is None or name in chosen)
+            images = (as_photographs(f.images, source.rig) for f in frames if f.images is not None)
+            source.rig = with_own_body_masked(source.rig, images)
         cut_to_visible(source, self.max_angle_deg)
 
     def rig(self, dtype: torch.dtype | None = None) -> CameraRig:
@@ -316,27 +334,35 @@ def print_labels(source: Source) -> None:
         print(f"Images: {source.pairing}.")
 
 
-def masked_by_itself(source: Source) -> CameraRig:
-    """The rig of a source with masks of its own body.
+def recorded_names(source: Source, selection: Selection, where: str = "") -> list[str]:
+    """Names of the selected frames of a rig's recording.
 
     Args:
-        source: a recording; up to fifty frames of all of it are read, whichever are to be predicted.
+        source: of the frames.
+        selection: of them.
+        where: key that has those of the capture below it, with its dot, for messages.
 
     Raises:
-        ArgumentError: live cameras, which cannot be read twice.
+        ArgumentError: live cameras, or one camera.
     """
-    if source.live:
-        raise ArgumentError(
-            "masks: auto reads the frames before the first is predicted, which live cameras do not allow; record "
-            "some, predict with masks=auto, and give its masks: masks='.../masks/{camera}.png'"
-        )
-    from sphericalvision.capture.preparation.own_body import MOST
+    if len(source.rig) < 2:
+        raise ArgumentError(f"{where}cameras: expected two or more that see the same things, got one")
+    names = source.names(selection)
+    if names is None:
+        raise ArgumentError(f"{where}images: expected a recording, not live cameras")
+    return names
 
-    names = source.names(Selection())
-    chosen = None if names is None else set(spread_evenly(names, MOST))
-    frames = source.frames(Selection(), lambda name: chosen is None or name in chosen)
-    images = (as_photographs(f.images, source.rig) for f in frames if f.images is not None)
-    return with_own_body_masked(source.rig, images)
+
+def recorded_photographs(source: Source, names: Container[str]) -> Iterator[tuple[str, dict[str, Tensor]]]:
+    """Name and images of each of some frames.
+
+    Raises:
+        FileFormatError: a frame cannot be read.
+    """
+    for frame in source.frames(Selection(), names.__contains__):
+        if frame.images is None:
+            raise frame.error or FileFormatError(f"images: could not read the images of frame {frame.name}")
+        yield frame.name, as_photographs(frame.images, source.rig)
 
 
 def cut_to_visible(source: Source, max_angle_deg: float | None) -> None:

@@ -5,9 +5,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import torch
 from pydantic.dataclasses import dataclass
@@ -18,13 +17,12 @@ from sphericalvision.cameras.calibration import RIG_FORMATS
 from sphericalvision.cameras.remapping.lookup import pixels_a_radian
 from sphericalvision.capture import Predictor, align_rig, calibrate_photometry
 from sphericalvision.capture.alignment import LEVEL, RigTurns
-from sphericalvision.capture.sources.frames import Selection, Source, spread_evenly
-from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.capture.sources.frames import spread_evenly
+from sphericalvision.core import check_choice
 from sphericalvision.icosphere import icosphere_vertices
-from sphericalvision.recipes.app.captures import Capture
+from sphericalvision.recipes.app.captures import Capture, recorded_names, recorded_photographs
 from sphericalvision.recipes.app.cli import choose_device, console, print_table
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Text
-from sphericalvision.sphere.intake import as_photographs
 
 __all__ = ["AlignConfig", "align"]
 
@@ -51,13 +49,10 @@ def align(config: AlignConfig) -> RigTurns:
     if config.format is not None:
         check_choice("format", config.format, RIG_FORMATS)
     source = config.capture.open()
-    if len(source.rig) < 2:
-        raise ArgumentError("cameras: expected two or more that see the same things, got one")
-    names = source.names(config.capture.selection)
-    if names is None:
-        raise ArgumentError("images: expected a recording, not live cameras")
+    names = recorded_names(source, config.capture.selection)
     config.capture.restrict(source)
-    frames = _read(source, spread_evenly(names, config.num_frames))
+    chosen = spread_evenly(names, config.num_frames)
+    frames = [images for _, images in recorded_photographs(source, chosen)]
     start = time.perf_counter()
     with console.status(f"comparing {len(frames)} frame(s) with the calibration"):
         result = align_rig(Predictor(source.rig, level=LEVEL, device=choose_device(config.device)), frames)
@@ -70,16 +65,7 @@ def align(config: AlignConfig) -> RigTurns:
     return result
 
 
-def _read(source: Source, names: list[str]) -> list[Mapping[str, Any]]:
-    frames: list[Mapping[str, Any]] = []
-    for frame in source.frames(Selection(), lambda name: name in names):
-        if frame.images is None:
-            raise frame.error or ArgumentError(f"images: frame {frame.name} has none")
-        frames.append(as_photographs(frame.images, source.rig))
-    return frames
-
-
-def _print(rig: CameraRig, result: RigTurns, frames: list[Mapping[str, Tensor]]) -> None:
+def _print(rig: CameraRig, result: RigTurns, frames: Sequence[Mapping[str, Tensor]]) -> None:
     """A row for each camera: its turn, how much of its view others share, exposure, resolution, what to do."""
     light = calibrate_photometry(
         rig, {name: torch.stack([frame[name] for frame in frames]) for name in rig.names}

@@ -20,12 +20,19 @@ from sphericalvision.capture.predictor import check_number
 from sphericalvision.capture.preparation.nearest import nearest_hypothesis
 from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.capture.pseudo_labels import PseudoLabeller, PseudoLabels
-from sphericalvision.capture.sources.frames import Selection, Source, spread_evenly
+from sphericalvision.capture.sources.frames import spread_evenly
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import SampleView
 from sphericalvision.data.sample_view import ToView
 from sphericalvision.models import DepthNetwork
-from sphericalvision.recipes.app.captures import AUTO, CaptureFields, cut_to_visible, with_own_body_masked
+from sphericalvision.recipes.app.captures import (
+    AUTO,
+    CaptureFields,
+    cut_to_visible,
+    recorded_names,
+    recorded_photographs,
+    with_own_body_masked,
+)
 from sphericalvision.recipes.app.cli import console
 from sphericalvision.recipes.app.kinds import Count, Number, Positive, Share
 from sphericalvision.recipes.datamodules.data_module import PreparedSamples, Sample
@@ -33,7 +40,6 @@ from sphericalvision.scenes import World, WorldSamples
 from sphericalvision.scenes.cache import decode, encode
 from sphericalvision.scenes.disturbances import RandomFaults
 from sphericalvision.scenes.world import HELD_OUT_SEED, NATURAL_MIN_DEPTH
-from sphericalvision.sphere.intake import as_photographs
 
 __all__ = ["CaptureDataModule", "rehearsed_world"]
 
@@ -125,23 +131,16 @@ class CaptureDataModule(CaptureFields, PreparedSamples):
             frames=self.frames, start=self.start, stop=self.stop, every=self.every
         )
         self.source = self.capture.open()
-        if len(self.source.rig) < 2:
-            raise ArgumentError("data.cameras: expected two or more that see the same things, got one")
-        self.names = self._chosen(self.source)
-        cut_to_visible(self.source, self.max_angle_deg)
-        self.labelled: dict[str, LabelledFrame] = {}
-        self.rig = self.source.rig
-        self.net: DepthNetwork | None = None
-
-    def _chosen(self, source: Source) -> list[str]:
-        names = source.names(self.capture.selection)
-        if names is None:
-            raise ArgumentError("data.images: expected a recording, not live cameras")
+        names = recorded_names(self.source, self.capture.selection, "data.")
         if len(names) < 2:
             raise ArgumentError(
                 f"data.images: expected two or more frames, some to learn from and some to judge by, got {len(names)}"
             )
-        return spread_evenly(names, self.num_frames)
+        self.names = spread_evenly(names, self.num_frames)
+        cut_to_visible(self.source, self.max_angle_deg)
+        self.labelled: dict[str, LabelledFrame] = {}
+        self.rig = self.source.rig
+        self.net: DepthNetwork | None = None
 
     @property
     def held_out(self) -> list[str]:
@@ -168,16 +167,9 @@ class CaptureDataModule(CaptureFields, PreparedSamples):
             raise ArgumentError(
                 "data: a network teaches what is in a capture; call bind_network(net) before setup"
             )
-        photographs = {}
-        for frame in track(
-            self.source.frames(Selection(), lambda name: name in self.names),
-            "reading frames",
-            total=len(self.names),
-            console=console,
-        ):
-            if frame.images is None:
-                raise frame.error  # type: ignore[misc]
-            photographs[frame.name] = _encoded(as_photographs(frame.images, self.source.rig))
+        reading = recorded_photographs(self.source, self.names)
+        frames = track(reading, "reading frames", total=len(self.names), console=console)
+        photographs = {name: _encoded(images) for name, images in frames}
         first = photographs[self.names[0]]
         rig = self.source.rig.resized({name: tuple(image.shape[-2:]) for name, image in first.items()})
         if self.capture.masks == AUTO:

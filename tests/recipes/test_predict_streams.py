@@ -30,7 +30,7 @@ from sphericalvision.capture.sources.opening import open_source, rig_for_images
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.io.images import read_image, write_image
 from sphericalvision.models import SemiGlobalSweep
-from sphericalvision.recipes.app.captures import masked_by_itself
+from sphericalvision.recipes.app.captures import Capture
 from sphericalvision.scenes import make_scene, render_rig
 from tests.recipes.tiny import Run, write_capture, write_streams
 
@@ -151,7 +151,7 @@ def test_live_cameras_are_frames_without_an_end(
     source = open_source("live:0,1,2,3", RIG)
     assert source.live
     with pytest.raises(ArgumentError, match="masks: auto reads the frames before the first is predicted"):
-        masked_by_itself(source)
+        Capture(calibration="rig.yaml", images="live:0,1,2,3", masks="auto").restrict(source)
     assert source.names(Selection()) is None
     assert source.samples() == []
     frames = list(source.frames(Selection(0, 4, 2), lambda _: True))

@@ -1,74 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The entries of samples: which a network wants, and how it gets them from a batch."""
+"""The entries of samples that a network takes from a batch."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import torch
-from annotated_types import MinLen
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.data import SampleView
 from sphericalvision.icosphere import level_from_num_vertices
 from sphericalvision.models import DepthNetwork
 from sphericalvision.scenes.samples import images_as_floats
 from sphericalvision.sweep.ring_mean import ids_of_coarser_level
 
-__all__ = ["Entries", "images_of", "truth_of", "view_of", "view_with"]
+__all__ = ["images_of", "truth_of"]
 
 Sample = dict[str, Any]
-
-Entry = Literal["sphere", "depth", "fisheye", "panorama"]
-Entries = Annotated[Sequence[Entry], MinLen(1)] | None
-"""What samples hold, in place of what the network takes: images and depth on the icosphere, depth there alone, images
-of the cameras, a panorama of depth."""
-
-
-def view_of(
-    net: DepthNetwork,
-    entries: Sequence[str] = (),
-    more: Sequence[str] = (),
-    depth_level: int | None = None,
-    panorama: tuple[int, int] = (80, 160),
-) -> SampleView:
-    """What samples hold for a network, by its ``images`` and ``grid``.
-
-    Args:
-        net: that takes them.
-        entries: names of ``Entries`` in place of what the network takes.
-        more: names in addition to what it takes.
-        depth_level: of the depth at vertices, where that is not on the network's own grid.
-        panorama: (height, width) of depth, where the network is not on panoramas.
-    """
-    on_sphere = net.images == "sphere"
-    own_level = net.depth_level
-    usual = ["sphere"] if on_sphere else ["fisheye"]
-    if own_level is None:
-        grid: Any = net.grid
-        height, width = grid.shape
-        panorama = (height if grid.max_latitude > 1.5 else width // 4, width)
-        own_level = (net.level if on_sphere else 5) - 2
-        usual.append("panorama")
-    elif not on_sphere:
-        usual.append("depth")
-    depth_level = own_level if depth_level is None else depth_level
-    level = net.level if on_sphere else depth_level + 2
-    return view_with(entries or (*usual, *more), SampleView(level, depth_level, True, panorama))
-
-
-def view_with(entries: Sequence[str], view: SampleView) -> SampleView:
-    """The parts of a view that entries name."""
-    return replace(
-        view,
-        level=view.level if "sphere" in entries else None,
-        depth_level=view.depth_level if {"sphere", "depth"} & set(entries) else None,
-        images="fisheye" in entries,
-        panorama=view.panorama if "panorama" in entries else None,
-    )
 
 
 def images_of(batch: Sample, net: DepthNetwork) -> tuple[Tensor, Tensor | None]:

@@ -17,8 +17,7 @@ from sphericalvision.data.augmentation.transforms import Compose
 from sphericalvision.data.sample_view import ToView
 from sphericalvision.recipes.app.kinds import Text
 from sphericalvision.recipes.datamodules.data_module import Sample
-from sphericalvision.recipes.datamodules.depth_data_module import DepthDataModule
-from sphericalvision.recipes.datamodules.entries import Entries
+from sphericalvision.recipes.datamodules.depth_data_module import DepthDataModule, Entries
 
 __all__ = ["OmniStereoDataModule", "SkipDamaged"]
 

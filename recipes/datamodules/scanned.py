@@ -29,8 +29,7 @@ from sphericalvision.data.scanned.widedepth import WideDepthDataset
 from sphericalvision.recipes.app.captures import CaptureFields
 from sphericalvision.recipes.app.kinds import Count, Positive, Share, Text
 from sphericalvision.recipes.datamodules.data_module import Sample
-from sphericalvision.recipes.datamodules.depth_data_module import DepthDataModule
-from sphericalvision.recipes.datamodules.entries import Entries
+from sphericalvision.recipes.datamodules.depth_data_module import DepthDataModule, Entries
 
 __all__ = [
     "Deep360DataModule",
@@ -134,7 +133,13 @@ class Deep360DataModule(ScannedDataModule):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class _SequencesDataModule(ScannedDataModule):
-    """A set that has no splits of its own, whose sequences are told."""
+    """A set that has no splits of its own.
+
+    Args:
+        train: sequences that train.
+        val: sequences that validate.
+        test: sequences that sphericalvision-evaluate takes.
+    """
 
     root: Text
     train: Sequences = None
@@ -157,9 +162,6 @@ class Kitti360DataModule(_SequencesDataModule):
 
     Args:
         root: folder with calibration, data_2d_raw, data_3d_raw and data_poses.
-        train: sequences that train.
-        val: sequences that validate.
-        test: sequences that sphericalvision-evaluate takes.
         window: poses of a window.
         spacing: metres between them.
     """
@@ -178,9 +180,6 @@ class SpiresDataModule(_SequencesDataModule):
 
     Args:
         root: folder with sensor.yaml and sequences.
-        train: sequences that train.
-        val: sequences that validate.
-        test: sequences that sphericalvision-evaluate takes.
         tolerance: seconds between images and scan, at most.
     """
 
@@ -197,9 +196,6 @@ class WideDepthDataModule(_SequencesDataModule):
 
     Args:
         root: folder of the set.
-        train: scenes that train.
-        val: scenes that validate.
-        test: scenes that sphericalvision-evaluate takes; all when not given.
         field_of_view_deg: degrees from the left to the right edge.
         baseline_mm: millimetres between the cameras.
         stereo: which cameras.

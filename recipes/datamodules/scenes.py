@@ -20,8 +20,7 @@ from sphericalvision.data import PhotometricAugmentation, RotateFivefold
 from sphericalvision.data.augmentation.transforms import Compose
 from sphericalvision.recipes.app.kinds import Count, Number, Positive, Size, Text
 from sphericalvision.recipes.datamodules.data_module import Sample
-from sphericalvision.recipes.datamodules.depth_data_module import DepthDataModule
-from sphericalvision.recipes.datamodules.entries import Entries
+from sphericalvision.recipes.datamodules.depth_data_module import DepthDataModule, Entries
 from sphericalvision.scenes import World, WorldSamples
 from sphericalvision.scenes.meshes import mesh_files
 from sphericalvision.scenes.world import HELD_OUT_SEED

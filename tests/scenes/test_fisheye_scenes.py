@@ -14,7 +14,7 @@ import torch
 from sphericalvision.cameras import CameraRig, EquirectangularCamera
 from sphericalvision.data import PhotometricAugmentation, RotateFivefold, SampleView, collate_samples
 from sphericalvision.data.augmentation.sphere_rotation import yaw_rotation
-from sphericalvision.recipes.datamodules.entries import view_with
+from sphericalvision.recipes.datamodules.depth_data_module import view_with
 from sphericalvision.scenes import (
     WorldSamples,
     make_scene,

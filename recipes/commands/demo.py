@@ -22,8 +22,13 @@ from sphericalvision.models import DepthNetwork
 from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.recipes.app.cli import build, choose_device, console
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Number, Text
-from sphericalvision.recipes.evaluation.frames import SampleFrames
-from sphericalvision.recipes.evaluation.loop import VertexErrors, evaluate, limit_text, mean_errors_by_method
+from sphericalvision.recipes.evaluation.loop import (
+    SampleFrames,
+    VertexErrors,
+    evaluate,
+    limit_text,
+    mean_errors_by_method,
+)
 from sphericalvision.recipes.evaluation.methods import Method, Scale, baselines
 from sphericalvision.recipes.evaluation.pictures import color_picture
 from sphericalvision.recipes.evaluation.tables import Table, save_errors

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import torch
 from hydra.core.hydra_config import HydraConfig
@@ -29,8 +29,13 @@ from sphericalvision.recipes.app.cli import build, choose_device, print_config
 from sphericalvision.recipes.app.kinds import STRICT, Device, Number, OnlyWith, Positive, Share, Text
 from sphericalvision.recipes.datamodules.data_module import SampleDataModule
 from sphericalvision.recipes.datamodules.depth_data_module import DepthDataModule
-from sphericalvision.recipes.evaluation.frames import SampleFrames
-from sphericalvision.recipes.evaluation.loop import VertexErrors, evaluate, limit_text, mean_errors_by_method
+from sphericalvision.recipes.evaluation.loop import (
+    SampleFrames,
+    VertexErrors,
+    evaluate,
+    limit_text,
+    mean_errors_by_method,
+)
 from sphericalvision.recipes.evaluation.methods import (
     AsUsed,
     Method,
@@ -44,7 +49,7 @@ from sphericalvision.recipes.evaluation.methods import (
 from sphericalvision.recipes.evaluation.strips import StripErrors, table_with_published
 from sphericalvision.recipes.evaluation.tables import Table, save_errors
 
-__all__ = ["EvaluateKeys", "Evaluation", "evaluate_checkpoint", "instantiate_evaluation"]
+__all__ = ["EvaluateKeys", "evaluate_checkpoint"]
 
 
 @with_config(STRICT)
@@ -72,82 +77,50 @@ SEARCHED = ("auto", "scene")
 """Values of ``model.min_depth`` that ``Predictor`` searches in each frame."""
 
 
-class Evaluation(NamedTuple):
-    """A network and the data it is evaluated on."""
+def evaluate_checkpoint(config: Annotated[DictConfig, EvaluateKeys], folder: Path) -> Table:
+    """Evaluate as ``config`` says; the table goes to ``folder`` as ``metrics.md``, ``.json`` and ``.csv``.
 
-    net: DepthNetwork
-    data: SampleDataModule
-    min_depth: float | Literal["auto", "scene"]
-    """Nearest hypothesis in metres that the network is used with; errors are in hypotheses from ``net.min_depth``."""
-    preparation: Preparation
-    as_used: bool
-    """Whether camera images are needed, as they are preprocessed."""
-
-
-def instantiate_evaluation(config: DictConfig) -> Evaluation:
-    """Load the network and make the data in its level and scale, unless ``config.model`` says otherwise.
-
-    A network on panoramas has no level; it is evaluated at the vertices of level 3 unless ``model.level`` says
-    otherwise.
+    The data are in the level and scale of the network, unless ``config.model`` says otherwise. A network on panoramas
+    has no level; it is evaluated at the vertices of level 3 unless ``model.level`` says otherwise.
     """
-    level = config.model.level
+    torch.manual_seed(config.seed)
     net = read_network(config.checkpoint)
-    min_depth = config.model.min_depth
-    search: Literal["auto", "scene"] | None = None
-    if isinstance(min_depth, str):
+    min_depth, level = config.model.min_depth, config.model.level
+    searched = isinstance(min_depth, str)  # in each frame, by ``Predictor``
+    if searched:
         check_choice("model.min_depth", min_depth, SEARCHED)
-        search, min_depth = min_depth, None  # type: ignore[assignment]
-    net = net.with_changes(level=level if net.images == "sphere" else None, min_depth=min_depth)
+    net = net.with_changes(
+        level=level if net.images == "sphere" else None, min_depth=None if searched else min_depth
+    ).to(choose_device(config.device))
     OmegaConf.update(config, "model.level", net.level if net.images == "sphere" else level or 5)
     OmegaConf.update(config, "model.min_depth", net.min_depth)
-    data: SampleDataModule = build(config.data, "data")
-    overrides = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
-    for key in (word.partition("=")[0] for word in overrides):
-        if key in [f"data.{name}" for name in data.of_training]:
-            raise ArgumentError(f"{key}: counts only in training; leave it out")
     preparation = Preparation(config.photometric, config.align)
-    as_used = bool(search or config.masks or preparation != AS_IT_IS)
-    compared = config.baselines or config.methods
-    more = ["sphere" if compared else "depth", *(["fisheye"] if as_used else [])]
-    data.bind_network(net, *more, depth_level=config.model.level - 2)
-    if as_used and not (isinstance(data, DepthDataModule) and data.view.images):
-        raise ArgumentError(
-            f"data: preparation, masks and model.min_depth=auto or scene need camera images (the entry 'fisheye'), "
-            f"which samples of {type(data).__name__} do not hold; take other data, or leave them out"
-        )
-    device = choose_device(config.device)
-    return Evaluation(net.to(device), data, search or net.min_depth, preparation, as_used)
-
-
-def evaluate_checkpoint(config: Annotated[DictConfig, EvaluateKeys], folder: Path) -> Table:
-    """Evaluate as ``config`` says; the table goes to ``folder`` as ``metrics.md``, ``.json`` and ``.csv``."""
-    torch.manual_seed(config.seed)
-    evaluation = instantiate_evaluation(config)
-    net, data = evaluation.net, evaluation.data
+    as_used = bool(searched or config.masks or preparation != AS_IT_IS)
+    data = _data_of(config, net, as_used)
+    level, scale = config.model.level - 2, Scale(net.num_hypotheses, net.min_depth)
     print_config(config, folder)
     data.render(config.split)
     frames = data.plain_train_dataset() if config.split == "train" else data.dataset(config.split)
     name = type(net).__name__ if config.checkpoint is None else Path(config.checkpoint).stem
     methods = [Method(name, net, config.min_confidence)]
-    if evaluation.as_used:
+    if as_used:
         masks = _masks(data.loader(frames)) if config.masks else {}
         methods = [
             AsUsed(
                 name,
                 net,
                 config.min_confidence,
-                evaluation.min_depth,
-                evaluation.preparation,
+                min_depth if searched else net.min_depth,
+                preparation,
                 lambda rig: rig.replaced(masks=masks or rig.masks),
             )
         ]
-    level, scale = config.model.level - 2, Scale(net.num_hypotheses, net.min_depth)
     if config.baselines:
         depths = training_depths(data, config.model.level)
         methods += baselines(scale, config.model.level, track(depths, "training depths", total=len(depths)))
     methods += [_compared_method(word, config.model.level, scale) for word in config.methods]
     check_names(methods)
-    if len(methods) > 1 and (evaluation.as_used or config.min_confidence > 0):
+    if len(methods) > 1 and (as_used or config.min_confidence > 0):
         print(f"Note: masks, preparation, min_depth and min_confidence apply to {name} alone")
     nothing = torch.zeros(1, *net.grid.shape, device=net.device)
     within = net.index_at(nothing, Icosphere(level, device=net.device).vertices)[1]
@@ -174,6 +147,32 @@ def evaluate_checkpoint(config: Annotated[DictConfig, EvaluateKeys], folder: Pat
         print(f"Warning: {sentence}")
     print(f"Saved in {folder}")
     return table
+
+
+def _data_of(config: DictConfig, net: DepthNetwork, as_used: bool) -> SampleDataModule:
+    """The data that ``config`` names, with the entries that the network and methods to compare take.
+
+    Args:
+        config: with the level of the images.
+        net: that is evaluated.
+        as_used: whether camera images are needed, too.
+
+    Raises:
+        ArgumentError: a key of the data counts only in training, or samples hold no camera images.
+    """
+    data: SampleDataModule = build(config.data, "data")
+    overrides = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
+    for key in (word.partition("=")[0] for word in overrides):
+        if key in [f"data.{name}" for name in data.of_training]:
+            raise ArgumentError(f"{key}: counts only in training; leave it out")
+    entries = ["sphere" if config.baselines or config.methods else "depth", *(["fisheye"] if as_used else [])]
+    data.bind_network(net, *entries, depth_level=config.model.level - 2)
+    if as_used and not (isinstance(data, DepthDataModule) and data.view.images):
+        raise ArgumentError(
+            f"data: preparation, masks and model.min_depth=auto or scene need camera images (the entry 'fisheye'), "
+            f"which samples of {type(data).__name__} do not hold; take other data, or leave them out"
+        )
+    return data
 
 
 def _compared_method(word: str, level: int, scale: Scale) -> Method:

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``sphericalvision-benchmark``: methods by tracks, in processes; or one network on one track."""
+"""``sphericalvision-benchmark``: methods by tracks, in processes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import torch
 from annotated_types import Ge, MinLen
@@ -17,7 +17,6 @@ from sphericalvision.capture.estimating import threads_kept
 from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.core import FileFormatError
 from sphericalvision.io.images import write_image
-from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.checks import flat
 from sphericalvision.recipes.app.cli import console, print_config
 from sphericalvision.recipes.app.kinds import STRICT, Count, Number, Positive, Text
@@ -33,11 +32,11 @@ from sphericalvision.recipes.evaluation.places import KEPT, REGIONS, FrameTruth,
 from sphericalvision.recipes.evaluation.records import Record, read_json, write_json
 from sphericalvision.recipes.evaluation.results import Results
 from sphericalvision.recipes.evaluation.tables import Cell, Row, Table, save_report, summarize
-from sphericalvision.recipes.evaluation.track_frames import NATURAL_SIZE, Size, TrackFrames
-from sphericalvision.recipes.evaluation.tracks import TRACKS, Track, chosen_tracks
+from sphericalvision.recipes.evaluation.track_frames import Size, TrackFrames
+from sphericalvision.recipes.evaluation.tracks import Track, chosen_tracks
 from sphericalvision.viz.panorama import icosphere_to_panorama
 
-__all__ = ["BenchmarkConfig", "benchmark", "benchmark_tables", "run_track", "scores"]
+__all__ = ["BenchmarkConfig", "benchmark", "benchmark_tables", "run_track"]
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -165,40 +164,6 @@ def _cost(results: Results) -> Table:
         "one thread (median)."
     )
     return Table(title, ("method", "parameters", "GFLOP", "CPU s"), rows)
-
-
-def scores(
-    network: DepthNetwork,
-    track: str | Track,
-    frames: int = 7,
-    cache: str | Path | None = "outputs/scene_cache",
-    size: Size = NATURAL_SIZE,
-) -> dict[str, Any]:
-    """Mean scores of one network on one track.
-
-    Args:
-        network: any ``DepthNetwork``; put in evaluation mode.
-        track: its name, one of ``TRACKS``.
-        frames: number of scenes.
-        cache: folder of renderings, so that the next call costs little.
-        size: how fine frames are.
-
-    Returns:
-        Nested dictionaries as ``PlaceErrors`` has them, means over frames; ``["coarse"]["all"]["MAE"]`` is the MAE
-        in percent of N = 16 at the vertices of level 4, ``["fine"]`` that at level 6; ``["seconds"]`` a frame.
-
-    Examples:
-        >>> from sphericalvision.capture.preparation.preparation import AS_IT_IS
-        >>> from sphericalvision.models import WinnerTakesAll
-        >>> small = Size(level=3, panorama_rows=8, image_rows=16, samples_per_pixel=1, preparation=AS_IT_IS)
-        >>> result = scores(WinnerTakesAll(3, 4), "room", frames=1, cache=None, size=small)
-        >>> 0 < result["coarse"]["all"]["MAE"] < 100
-        True
-    """
-    chosen = TRACKS[track] if isinstance(track, str) else track
-    method = Method("network", network)
-    track_frames = TrackFrames(chosen, range(frames), size, None if cache is None else Path(cache))
-    return run_track(track_frames, [method], None)["network"].means
 
 
 def run_track(

@@ -4,23 +4,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal, Protocol
 
 import torch
+from rich.progress import track
 from torch import Tensor
 
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.metrics import depth_error, depth_index_error
-from sphericalvision.recipes.evaluation.frames import Batch, FrameSet
-from sphericalvision.recipes.evaluation.methods import Answer, Method, Scale
+from sphericalvision.recipes.evaluation.methods import Answer, Batch, Method, Scale
 from sphericalvision.recipes.evaluation.records import Errors, Record
 from sphericalvision.sweep import depth_from_index, index_from_inverse_depth
 
 __all__ = [
+    "FrameSet",
     "Limit",
     "Measure",
+    "SampleFrames",
     "VertexErrors",
     "errors_in_metres",
     "errors_of_frame",
@@ -34,6 +37,60 @@ Limit = float | Literal["auto"]
 
 INDOORS = frozenset(("room", "hall", "corridor", "bare", "polished", "glazed", "plain", "lit"))
 """Kinds of scenes with walls all around."""
+
+
+class FrameSet(Protocol):
+    """Frames by name, made when they are asked for.
+
+    Attributes:
+        name: of the set, in files and tables.
+        names: of all frames, in order.
+        drawn: names of those whose estimates are kept for pictures.
+    """
+
+    name: str
+    names: Sequence[str]
+    drawn: Collection[str]
+
+    @property
+    def key(self) -> Mapping[str, Any]:
+        """What the frames depend on, as JSON has it."""
+
+    def batches(self, names: Sequence[str]) -> Iterator[tuple[Sequence[str], Batch]]:
+        """Some of the frames in batches, each with the names of its frames."""
+
+
+class SampleFrames:
+    """Samples, named by their numbers; shows its progress.
+
+    Args:
+        load: makes batches of the samples of some numbers, put together as ``collate_samples`` does.
+        count: of all samples.
+        name: of the set, and of its progress.
+        drawn: numbers of the frames that are drawn.
+        key: what the frames depend on.
+    """
+
+    def __init__(
+        self,
+        load: Callable[[Sequence[int]], Collection[dict[str, Any]]],
+        count: int,
+        name: str = "evaluating",
+        drawn: Sequence[int] = (),
+        key: Mapping[str, Any] = MappingProxyType({}),
+    ) -> None:
+        self.load, self.name, self.key = load, name, key
+        self.names = [str(number) for number in range(count)]
+        self.drawn = {str(number) for number in drawn}
+
+    def batches(self, names: Sequence[str]) -> Iterator[tuple[Sequence[str], Batch]]:
+        """The samples of some names, in batches."""
+        done = 0
+        loader = self.load([int(name) for name in names])
+        for batch in track(loader, self.name, total=len(loader)):
+            number = len(batch["valid"])
+            yield names[done : done + number], batch
+            done += number
 
 
 @torch.no_grad()

@@ -31,7 +31,6 @@ from sphericalvision.models import (
 from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.models.weights.files import identity_of
 from sphericalvision.recipes.datamodules.entries import images_of
-from sphericalvision.recipes.evaluation.frames import Batch
 from sphericalvision.recipes.evaluation.rectified_sgbm import RectifiedSGBM
 from sphericalvision.recipes.training.rig_tables import RigTables
 from sphericalvision.scenes import make_scene, ray_depth
@@ -47,6 +46,7 @@ __all__ = [
     "SCALE",
     "Answer",
     "AsUsed",
+    "Batch",
     "Method",
     "Scale",
     "baselines",
@@ -66,6 +66,9 @@ class Scale(NamedTuple):
 
 SCALE = Scale(16, NATURAL_MIN_DEPTH)
 """The hypotheses that errors are percentages of, for all methods alike."""
+
+Batch = Any
+"""Some frames: whatever methods find images, and a measure the truth in; mostly samples that are put together."""
 
 UNTRAINED: dict[str, Callable[[int, int, float], DepthNetwork]] = {
     "semi-global-sweep": SemiGlobalSweep,

@@ -12,9 +12,8 @@ from torch import Tensor
 
 from sphericalvision.data.scanned.helvipad import HELVIPAD_LATITUDES, disparity_from_depth
 from sphericalvision.metrics import left_right_error, stereo_error
-from sphericalvision.recipes.evaluation.frames import Batch
 from sphericalvision.recipes.evaluation.loop import VertexErrors
-from sphericalvision.recipes.evaluation.methods import Answer, Scale
+from sphericalvision.recipes.evaluation.methods import Answer, Batch, Scale
 from sphericalvision.recipes.evaluation.records import Record
 from sphericalvision.recipes.evaluation.tables import Cell, Table
 from sphericalvision.sphere import Equirectangular

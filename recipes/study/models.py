@@ -12,17 +12,13 @@ from omegaconf import DictConfig, OmegaConf
 
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.models import DepthNetwork
+from sphericalvision.models.weights.pretrained import DEFAULT
 from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.evaluation.methods import Method, Scale, baselines, make_method, training_depths
 from sphericalvision.recipes.study.training import Training, training_config
 from sphericalvision.recipes.training.run_folder import flat_settings
 
 __all__ = ["StudyModel", "scale_of", "study_models"]
-
-DEFAULT = "refinedsweepnet"
-"""The network that ships."""
-
-KINDS = ("depth_network", "constant")
 
 
 class StudyModel(NamedTuple):
@@ -123,7 +119,7 @@ def _model(name: str, entry: dict[str, Any]) -> StudyModel:
     for key in entry:
         check_choice(f"models.{name}", key, ("kind", "label", "train", "checkpoint"))
     kind, runs = entry.get("kind", "depth_network"), entry.get("train")
-    check_choice(f"models.{name}.kind", kind, KINDS)
+    check_choice(f"models.{name}.kind", kind, ("depth_network", "constant"))
     if kind == "constant" and runs is None:
         raise ArgumentError(
             f"models.{name}.train: a constant depth map is the median of a training set; give the words that "

@@ -13,7 +13,7 @@ from omegaconf import DictConfig
 from torch import Tensor
 
 from sphericalvision.metrics import DepthIndexError
-from sphericalvision.recipes.evaluation.frames import SampleFrames
+from sphericalvision.recipes.evaluation.loop import SampleFrames
 from sphericalvision.recipes.evaluation.methods import Method
 from sphericalvision.recipes.evaluation.pictures import DrawnFrame, Picture, camera_picture, color_picture
 from sphericalvision.recipes.evaluation.protocols import Protocols

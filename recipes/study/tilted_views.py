@@ -7,7 +7,7 @@ import math
 from typing import Any, NamedTuple
 
 from omegaconf import DictConfig, OmegaConf
-from torch.utils.data import Dataset, Subset
+from torch.utils.data import Subset
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.fingerprint import rig_fingerprint
@@ -15,10 +15,9 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data import RotateFisheye, SampleView
 from sphericalvision.data.sample_view import ToView
 from sphericalvision.recipes.app.cli import build
-from sphericalvision.recipes.datamodules.data_module import Sample, SampleDataModule
-from sphericalvision.recipes.datamodules.depth_data_module import DepthDataModule
 from sphericalvision.recipes.datamodules.omnistereo import OmniStereoDataModule
-from sphericalvision.recipes.evaluation.frames import SampleFrames
+from sphericalvision.recipes.datamodules.scenes import SceneDataModule
+from sphericalvision.recipes.evaluation.loop import SampleFrames
 
 __all__ = ["View", "view_frames", "views"]
 
@@ -56,24 +55,32 @@ def views(config: DictConfig) -> list[View]:
     return [*level, *fisheye, View("equirect", 0.0)]
 
 
-class Samples(NamedTuple):
-    """Samples of a view, the module that loads them, and their identity: whatever they depend on."""
-
-    data: SampleDataModule
-    samples: Dataset[Sample]
-    identity: list[str]
-
-
 def view_frames(config: DictConfig, view: View) -> SampleFrames:
     """The frames of a view, with ``images`` on the icosphere, ``fisheye`` images and ground truth.
 
     Raises:
-        ArgumentError: ``panel_frame`` is none of them.
+        ArgumentError: ``panel_frame`` is none of them, or the data are neither rendered nor a set on disk.
     """
-    data, samples, identity = (_rendered if "rig" in config.data else _on_disk)(config, view)
-    count = len(samples)  # type: ignore[arg-type]
-    if config.frames is not None:
-        count = min(config.frames, count)
+    size = config.image_size if view.inputs == "fisheye" else config.equirect_size
+    size = None if size is None else [int(side) for side in size]
+    level, is_rendered = config.model.level, "rig" in config.data
+    data: Any = _rendered(config, view, size) if is_rendered else build(config.data, "data")
+    # What networks of all kinds take.
+    data.view, data.min_depth = SampleView(level, level - 2, True, (80, 160)), config.model.min_depth
+    samples: Any
+    if is_rendered:
+        data.render("test")
+        samples = data.dataset("test")
+        world = samples.world
+        first = world.frame(samples.seeds[0]).name
+        identity = [world.fingerprint(samples.view), repr(world.meshes), first]
+    elif isinstance(data, OmniStereoDataModule):
+        rotate = RotateFisheye(tilt=math.radians(view.angle_deg), image_size=size)
+        samples = data.read("test", rotate, ToView(data.view))
+        identity = [rig_fingerprint(samples.rig, (samples, samples.frames, data.view, view, size))]
+    else:
+        raise ArgumentError("data: expected data=fisheye_scenes, or a set on disk such as data=omnihouse")
+    count = len(samples) if config.frames is None else min(config.frames, len(samples))
     if not 0 <= config.panel_frame < count:
         raise ArgumentError(f"panel_frame: expected 0 to {count - 1}, got {config.panel_frame}")
     return SampleFrames(
@@ -85,11 +92,11 @@ def view_frames(config: DictConfig, view: View) -> SampleFrames:
     )
 
 
-def _rendered(config: DictConfig, view: View) -> Samples:
+def _rendered(config: DictConfig, view: View, size: list[int] | None) -> SceneDataModule:
+    """Scenes through the rig of a view, with images of a size."""
     rig: CameraRig = build(config.rig if view.inputs == "fisheye" else config.equirect_rig, "rig")
-    size = config.image_size if view.inputs == "fisheye" else config.equirect_size
     if size is not None:
-        rig = rig.resized([int(side) for side in size])
+        rig = rig.resized(size)
     node: dict[str, Any] = OmegaConf.to_container(config.data, resolve=True)  # type: ignore[assignment]
     if "entries" not in node:
         raise ArgumentError(
@@ -99,30 +106,5 @@ def _rendered(config: DictConfig, view: View) -> Samples:
     if config.frames is not None:
         node["num_test"] = config.frames
     del node["rig"]
-    data = build(node, "data", rig=rig.rotated(tilt=math.radians(view.angle_deg)))
-    _set_view(data, config)
-    data.render("test")
-    samples = data.dataset("test")
-    world = samples.world
-    first = world.frame(samples.seeds[0]).name
-    return Samples(data, samples, [world.fingerprint(samples.view), repr(world.meshes), first])
-
-
-def _on_disk(config: DictConfig, view: View) -> Samples:
-    data = build(config.data, "data")
-    if not isinstance(data, OmniStereoDataModule):
-        raise ArgumentError("data: expected data=fisheye_scenes, or a set on disk such as data=omnihouse")
-    size = None if config.image_size is None else [int(side) for side in config.image_size]
-    _set_view(data, config)
-    samples = data.read(
-        "test", RotateFisheye(tilt=math.radians(view.angle_deg), image_size=size), ToView(data.view)
-    )
-    return Samples(
-        data, samples, [rig_fingerprint(samples.rig, (samples, samples.frames, data.view, view, size))]
-    )
-
-
-def _set_view(data: DepthDataModule, config: DictConfig) -> None:
-    """Let samples hold what networks of all kinds take."""
-    level = config.model.level
-    data.view, data.min_depth = SampleView(level, level - 2, True, (80, 160)), config.model.min_depth
+    data: SceneDataModule = build(node, "data", rig=rig.rotated(tilt=math.radians(view.angle_deg)))
+    return data

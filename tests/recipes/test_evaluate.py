@@ -20,8 +20,12 @@ from sphericalvision.data import SampleView, ToSphere, collate_samples
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep, WinnerTakesAll
 from sphericalvision.models.depth_network import DepthEstimate
-from sphericalvision.recipes.evaluation.frames import SampleFrames
-from sphericalvision.recipes.evaluation.loop import VertexErrors, evaluate, mean_errors_by_method
+from sphericalvision.recipes.evaluation.loop import (
+    SampleFrames,
+    VertexErrors,
+    evaluate,
+    mean_errors_by_method,
+)
 from sphericalvision.recipes.evaluation.methods import Answer, AsUsed, Method, Scale, camera_images
 from sphericalvision.sweep import inverse_depth_from_index
 from tests.recipes.tiny import TINY_SCENES, Run

@@ -103,7 +103,7 @@ def at_once() -> CameraRig:
 DOUBLE = torch.float64
 
 MISUSES = r"""
-# what a camera is made of
+# cameras
 pinhole([NAN, 20.0]) -> focal_length: Argument
 pinhole([-20.0, 20.0]) -> focal_length: Argument
 pinhole('long') -> focal_length: Argument
@@ -119,17 +119,25 @@ pinhole(size=(math.inf, 4)) -> image_size: Argument
 pinhole(size=(40000, 40000)) -> image_size: Argument
 pinhole(max_angle=110) -> max_angle: Argument
 pinhole(max_angle='wide') -> max_angle: Argument
+PinholeCamera.from_field_of_view((8, 8), (1.0,)) -> field_of_view: ArgumentType
+PinholeCamera(torch.ones(3, 2), torch.ones(2, 2), SIZE) -> intrinsics: Shape
 KannalaBrandtCamera(F, C, None, SIZE) -> distortion: Argument
 DoubleSphereCamera(F, C, 0.0, 2.0, SIZE) -> alpha: Argument
-ExtendedUnifiedCamera(F, C, 0.5, -1.0, SIZE) -> beta: Argument
 UnifiedCamera(F, C, -1.0, None, SIZE) -> xi: Argument
+UnifiedCamera(F, C, 1.0, [0.0] * 3, SIZE) -> distortion: Argument
 AtanCamera(F, C, 0.0, SIZE) -> omega: Argument
+AtanCamera(F, C, 3.2, SIZE) -> omega: Argument
 OCamCamera([], None, C, [1.0, 0, 0], SIZE, 1.0) -> polynomial: Shape
 OCamCamera([-9.0, 0.1], None, C, [1, 0, NAN], SIZE, 1.0) -> affine: Argument
+OCamCamera([100.0, 0.0, 1e-3], None, C, [1, 0, 0], SIZE, 1.0) -> polynomial: Argument
+OCamCamera([-9.0, 0.0, 0.01], None, C, [1, 1, 1], SIZE, 1.0) -> affine: Argument
+OCamCamera([-9.0, 0.0, 0.01], None, C, [1, 0, 0], SIZE, 110) -> max_angle: Argument
 FisheyeCamera('fish', 5.0, C, SIZE) -> projection: Argument
 FisheyeCamera.from_field_of_view(SIZE, 220) -> field_of_view: Argument
 FisheyeCamera.from_field_of_view(SIZE, '220') -> field_of_view: ArgumentType
-# what a camera is given
+FisheyeCamera.stack([]) -> cameras: Argument
+FisheyeCamera.from_field_of_view(SIZE, 3.84, 'orthographic') -> field_of_view: Argument
+FisheyeCamera.stack([camera()] * 3).project(torch.zeros(2, 7, 3)) -> points or pixels: Shape
 camera().project(INTEGERS) -> points: Argument
 camera().project(POINTS) -> points: ArgumentType
 camera().project([[0.0, 0.0, 1.0]]) -> points: ArgumentType
@@ -143,16 +151,14 @@ camera().sample(ARRAY, DIRECTIONS) -> image: ArgumentType
 camera().sample(BYTES, DIRECTIONS) -> image: Argument
 camera().sample(torch.zeros(32, 40, 3), DIRECTIONS) -> image: Shape
 camera().with_intrinsics(focal_length=200.0) -> focal_length: ArgumentType
-PinholeCamera.from_field_of_view((8, 8), (1.0,)) -> field_of_view: ArgumentType
-undistorted_camera(camera(), (1.0, 1.0)) -> field_of_view: ArgumentType
-perspective_views(torch.zeros(3, 32, 40), [(0, 0, 0)]) -> image: Shape
-ico().nearest(torch.tensor([NAN, 0.0, 1.0])) -> directions: Argument
 camera().resized('big') -> image_size: Argument
 camera().cropped(0.5, 0, 4, 4) -> cropped: ArgumentType
 camera().cropped(0, 0, 400, 4) -> cropped: Argument
 camera().to(torch.float16) -> dtype: Argument
 camera().select(0) -> index: Argument
-FisheyeCamera.stack([]) -> cameras: Argument
+undistorted_camera(camera(), (1.0, 1.0)) -> field_of_view: ArgumentType
+undistorted_camera('camera') -> camera: ArgumentType
+perspective_views(torch.zeros(3, 32, 40), [(0, 0, 0)]) -> image: Shape
 convert(camera(), to='fishy') -> to: Argument
 convert(camera(), to=int) -> to: Argument
 project_pinhole(DIRECTIONS, [1.0, 1.0], torch.ones(2)) -> focal_length: ArgumentType
@@ -160,19 +166,25 @@ project_fisheye(POINTS, torch.ones(2), torch.ones(2), 'equidistant') -> points: 
 depth_from_z(np.zeros(SIZE), camera()) -> z: ArgumentType
 points_from_depth(torch.ones(SIZE).long(), camera()) -> depth: Argument
 field_of_view(3) -> camera: ArgumentType
-undistorted_camera('camera') -> camera: ArgumentType
 undistort(IMAGE[0], camera(), 1.0) -> image: Shape
 rectified_pairs(rig(), 'panorama') -> kind: Argument
+rectified_pairs(rig(), pairs=[('cam1', 'left')]) -> cameras: Argument
+rectified_pairs(at_once(), pairs=[('cam1', 'cam2')]) -> pairs: Argument
+rectified_pairs(at_once()) -> rig: Argument
+rectified_pairs(rig().subset([0])) -> rig: Argument
+rectified_pairs(CameraRig([pinhole()] * 2, ring_rig(2).world_from_camera), pairs=[('cam1', 'cam2')]) -> pairs: Argument
+rectified_pairs(CameraRig.stack([rig(), rig()])) -> rig: Argument
+rectified_pairs(rig())[0].distance(torch.zeros(4, 4)) -> disparity: Shape
+rectified_pairs(rig())[0].distance(torch.zeros(rectified_pairs(rig())[0].image_size), 'cam9') -> of: Argument
+rectified_pairs(rig())[0].rectify({'cam1': IMAGE}) -> images: Argument
 compare_cameras(camera(), camera().resized((16, 20))) -> second: Argument
 read_camera(3) -> path: ArgumentType
 save_camera(3, 'x.yaml') -> camera: ArgumentType
-# rigs
 CameraRig([], torch.zeros(0, 4, 4)) -> cameras: Argument
 CameraRig(camera(), EYES) -> cameras: ArgumentType
 CameraRig(['front'], EYES) -> cameras['cam1']: ArgumentType
 CameraRig([camera()], EYE[None]) -> world_from_camera: Shape
 CameraRig([camera()], np.eye(4)[None]) -> world_from_camera: ArgumentType
-CameraRig([camera()], [EYES[0]]) -> world_from_camera: ArgumentType
 CameraRig([camera()], EYES.long()) -> world_from_camera: Argument
 CameraRig([camera()], EYES * NAN) -> world_from_camera: Argument
 CameraRig([camera()], torch.diag(torch.tensor([2.0, 2, 2, 1]))[None]) -> world_from_camera: Argument
@@ -184,6 +196,11 @@ CameraRig([camera()], EYES, {'x': torch.ones(SIZE)}) -> masks: Argument
 rig().subset(['front']) -> cameras: Argument
 rig().rotated(rotation=2 * EYE) -> rotation: Argument
 rig().project(POINTS) -> points: ArgumentType
+rig().project(DIRECTIONS[0]) -> points: Shape
+rig().points_seen(torch.ones(2, 2, 3), torch.zeros(1)) -> directions: Shape
+rig().points_seen(DIRECTIONS, torch.zeros(2, 5)) -> inverse_depths: Shape
+rig().points_seen(DIRECTIONS, torch.tensor([1.0, -1.0])) -> inverse_depths: Argument
+CameraRig([camera()] * 4, EYES.repeat(3, 1, 1)) -> world_from_camera: Shape
 ring_rig(2.5) -> num_cameras: Argument
 ring_rig(1) -> num_cameras: Argument
 ring_rig(4, radius=0.0) -> radius: Argument
@@ -191,8 +208,8 @@ ring_rig(4, radius=NAN) -> radius: Argument
 read_rig(3) -> path: ArgumentType
 save_rig(camera(), 'x.yaml') -> rig: ArgumentType
 coverage(camera(), DIRECTIONS, [1.0]) -> rig: ArgumentType
-rig_picture(camera()) -> rig: ArgumentType
-# images from camera to camera, grid to grid
+coverage(ring_rig(3), torch.ones(2, 2, 3), [1.0]) -> directions: Shape
+coverage(ring_rig(3), torch.eye(3), [1.0, 0.0]) -> depths: Argument
 remap(ARRAY, camera(), camera()) -> image: ArgumentType
 remap(BYTES, camera(), camera()) -> values: Argument
 remap(IMAGE, camera(), camera(), 2 * EYE) -> rotation: Argument
@@ -200,27 +217,46 @@ remap(IMAGE, camera(), camera(), np.eye(3)) -> rotation: ArgumentType
 remap(IMAGE, camera(), SIZE) -> target: ArgumentType
 remap(IMAGE, camera(), camera(), fill='black') -> fill: ArgumentType
 remap(IMAGE, camera(), camera(), mode='cubic') -> mode: Argument
-resample(ARRAY, camera(), ico()) -> values: ArgumentType
-resample(BYTES, camera(), ico()) -> values: Argument
-resample(IMAGE, camera(), ico(), 2 * EYE) -> rotation: Argument
-resample(IMAGE, camera(), ico(), torch.eye(4)) -> rotation: Shape
-resample(IMAGE, camera(), 5) -> target: Argument
-resample(IMAGE, rig(), ico()) -> source: Argument
-resample(torch.zeros(32, 40, 3), camera(), ico()) -> values: Shape
-resample(IMAGE, camera(), ico(), mask=np.ones(SIZE)) -> mask: ArgumentType
+remap(torch.zeros(3, 40, 32), camera(), camera()) -> image: Shape
+remap(IMAGE, camera(), camera(), mask=torch.ones(60, 80)) -> mask: Shape
+remap(IMAGE, camera(), camera(), torch.eye(4)) -> rotation: Shape
+remap(BYTES, camera(), camera(), mode='nearest', fill=-1) -> fill: Argument
+remap(IMAGE, camera(), camera(), mode='bicubic', mask=torch.ones(SIZE)) -> mask: Argument
+EquirectangularCamera((4, 8), 1.0, latitudes=(0, 0.5)) -> vertical_field_of_view, latitudes: Argument
+EquirectangularCamera((4, 8), latitudes=(0.5, -0.5)) -> latitudes: Argument
+EquirectangularCamera((4, 8), longitudes=(0, 7)) -> longitudes: Argument
+EquirectangularCamera((4, 8), longitudes=3) -> latitudes, longitudes: Argument
+seen_by(ring_rig(4), torch.tensor([[0.0, -1.0, 0.0]]), torch.zeros(2)) -> inverse_depth: Shape
+seen_by(ring_rig(4), torch.tensor([[0.0, -1.0, 0.0]]), -torch.ones(1)) -> inverse_depth: Argument
+to_kornia(PinholeCamera([500.0, 510.0], [319.5, 239.5], (480, 640), skew=2.5)) -> camera: Argument
+overlap(torch.ones(2, 4).int(), torch.ones(3)) -> solid_angles: Shape
+ExtendedUnifiedCamera(F, C, 1.5, 1.0, SIZE) -> alpha: Argument
+ExtendedUnifiedCamera(F, C, 0.5, 0.0, SIZE) -> beta: Argument
+ThinPrismFisheyeCamera(F, C, [0.0] * 6, [0.0] * 2, [0.0] * 4, SIZE, composition='both') -> composition: Argument
+ThinPrismFisheyeCamera(F, C, [0.0] * 6, [0.0] * 2, [0.0] * 2, SIZE) -> thin_prism: Shape
+RadialPolynomialCamera([-1.0, 2.0], C, 1.0, SIZE) -> polynomial: Argument
+RadialPolynomialCamera([9.0], C, 0.0, SIZE) -> aspect_ratio: Argument
+BrownConradyCamera(F, C, [0.0] * 6, SIZE) -> distortion: Argument
+Remap(camera(), camera())(IMAGE[0]) -> image: Shape
+sample_sphere(rig(), [torch.zeros(3, 24, 24)] * 3, DIRECTIONS) -> images: Argument
+sample_sphere(rig(), {'a': IMAGE, 'b': IMAGE}, DIRECTIONS) -> images: Argument
+sample_sphere(rig(), [torch.zeros(3, 12, 24)] * 4, DIRECTIONS) -> images['cam1']: Shape
 # geometry
 bilinear_sample(ARRAY, torch.zeros(5, 2)) -> image: ArgumentType
 bilinear_sample(IMAGE, torch.zeros(5, 2).long()) -> pixels: Argument
 bilinear_sample(torch.zeros(2, 3, 4, 4), torch.zeros(3, 5, 2)) -> image and pixels: Shape
+bilinear_sample(IMAGE, torch.zeros(2, 2), padding='wrap') -> padding: Argument
 normalize(INTEGERS) -> vectors: Argument
 angle_from_axis(INTEGERS) -> points: Argument
+angle_from_axis(torch.zeros(3, 2)) -> points: Shape
 directions_from_longitude_latitude(np.zeros(3), torch.zeros(3)) -> longitude: ArgumentType
 invert_transform(np.eye(4)) -> a_from_b: ArgumentType
 invert_transform(EYE) -> a_from_b: Shape
 transform_points(torch.eye(4), INTEGERS) -> points: Argument
 transform_from_quaternion(torch.zeros(4), torch.zeros(3)) -> quaternion: Argument
 transform_from_axis_angle(INTEGERS, DIRECTIONS) -> axis_angle: Argument
-# icospheres and grids
+# icosphere
+ico().nearest(torch.tensor([NAN, 0.0, 1.0])) -> directions: Argument
 Icosphere(-1) -> level: Argument
 Icosphere(30) -> level: Argument
 Icosphere('5') -> level: Argument
@@ -229,60 +265,156 @@ ico().sample(np.zeros((3, 162)), DIRECTIONS) -> values: ArgumentType
 ico().sample(LABELS, DIRECTIONS) -> values: Argument
 ico().sample(torch.zeros(3, 42), DIRECTIONS) -> values: Shape
 ico().locate(POINTS) -> directions: ArgumentType
+Icosphere(1).locate(torch.zeros(4, 2)) -> directions: Shape
+Icosphere(1).locate(torch.zeros(4, 3, dtype=torch.long)) -> directions: Argument
+Icosphere(1).sample(torch.zeros(1, 42), torch.ones(3)) -> directions: Shape
+Icosphere(0).coarser() -> Icosphere.coarser: Argument
+Icosphere(1.5) -> level: Argument
+Icosphere(True) -> level: Argument
 icosphere_pool(np.zeros((3, 162))) -> values: ArgumentType
 icosphere_pool(torch.zeros(3, 100)) -> number of vertices: Shape
+icosphere_pool(torch.ones(42), 'median') -> mode: Argument
+icosphere_pool(torch.ones(12)) -> level: Argument
+icosphere_pool(LABELS) -> values: Argument
 level_from_num_vertices('many') -> number of vertices: ArgumentType
+level_from_num_vertices(43) -> number of vertices: Shape
+icosphere_within(torch.ones(3), -0.1, 2) -> angle: Argument
+icosphere_within(torch.ones(2), 0.1, 2) -> directions: Shape
+icosphere_rings(1, 1, torch.tensor([42])) -> centers: Argument
+icosphere_rings(1, -1) -> num_rings: Argument
+icosphere_normals(torch.ones(43, 3)) -> number of vertices: Shape
+icosphere_normals(torch.ones(42, 2)) -> points: Shape
+icosphere_upsample(torch.ones(43)) -> number of vertices: Shape
+icosphere_upsample(LABELS) -> values: Argument
+IcospherePool(2)(torch.ones(1, 42)) -> values: Shape
+icosphere_edges(-1) -> level: Argument
+TriangleLocator(11) -> level: Argument
+# sphere
+resample(ARRAY, camera(), ico()) -> values: ArgumentType
+resample(BYTES, camera(), ico()) -> values: Argument
+resample(IMAGE, camera(), ico(), 2 * EYE) -> rotation: Argument
+resample(IMAGE, camera(), ico(), torch.eye(4)) -> rotation: Shape
+resample(IMAGE, camera(), 5) -> target: Argument
+resample(IMAGE, rig(), ico()) -> source: Argument
+resample(torch.zeros(32, 40, 3), camera(), ico()) -> values: Shape
+resample(IMAGE, camera(), ico(), mask=np.ones(SIZE)) -> mask: ArgumentType
+resample(VALUES, ico(), Equirectangular(4, 8), mode='cubic') -> mode: Argument
+resample(torch.zeros(1, 6, 4, 4), Cubemap(4), ico(), mask=torch.ones(4, 4)) -> mask: Shape
 Equirectangular(4.5, 8) -> height: Argument
 Equirectangular(8, 16).sample(np.zeros((3, 8, 16)), DIRECTIONS) -> values: ArgumentType
 Equirectangular(8, 16).sample(torch.zeros(3, 8, 16), INTEGERS) -> directions: Argument
 Equirectangular(8, 16).sample(torch.zeros(3, 8, 16).byte(), DIRECTIONS) -> values: Argument
-Cubemap(4).sample(torch.zeros(3, 6, 4, 4).byte(), DIRECTIONS) -> values: Argument
+Equirectangular.with_square_pixels(5, 8) -> height, width: Argument
+Equirectangular(4, 8, max_latitude=45.0) -> max_latitude: Argument
+Equirectangular(4, 8).sample(torch.zeros(3, 8, 4), DIRECTIONS) -> values: Shape
+Equirectangular.with_square_pixels(2, 8).rows_of(torch.zeros(3, 8)) -> panorama: Shape
+Equirectangular(4, 8, latitudes=(0.5, -0.5)) -> latitudes: Argument
+Equirectangular(4, 8, latitudes=(0, 2)) -> latitudes: Argument
+Equirectangular(4, 8, longitudes=(0, 7)) -> longitudes: Argument
+Equirectangular(4, 8, longitudes=3) -> latitudes, longitudes: Argument
+Equirectangular(10**7, 2 * 10**7) -> height, width: Argument
+Equirectangular.with_square_pixels(10**6, 10**7) -> height, width: Argument
 cube_pad(torch.zeros(1, 3, 5, 4, 4), 1) -> faces: Shape
 cube_pad(np.zeros((1, 3, 6, 4, 4)), 1) -> faces: ArgumentType
 cube_pad(torch.zeros(1, 3, 6, 4, 4), 9) -> padding: Argument
 equirectangular_pad(np.zeros((3, 8, 16)), 1) -> images: ArgumentType
+equirectangular_pad(torch.zeros(2, 4), 3) -> padding: Argument
+equirectangular_pad(torch.zeros(4), 1) -> images: Shape
 make_seamless(3) -> module: ArgumentType
+make_seamless(torch.nn.Sequential(torch.nn.ReLU(), torch.nn.ConvTranspose2d(1, 1, 3))) -> module: Argument
+make_seamless(torch.nn.Upsample(scale_factor=2, mode='bilinear')) -> module: Argument
 SphereConv2d(3, 4)(torch.zeros(1, 3, 8, 16, dtype=DOUBLE)) -> images: Argument
 SphereConv2d(-3, 4) -> in_channels: Argument
-# crowns
+SphereConv2d(3, 8, 4) -> kernel_size: Argument
+SphereConv2d(3, 8, 5)(torch.zeros(1, 3, 4, 8)) -> kernel_size: Argument
+SphereConv2d(3, 8)(torch.zeros(1, 4, 8, 16)) -> images and weight: Shape
+cube_to_layout(torch.zeros(5, 4, 4)) -> values: Shape
+cube_to_layout(torch.zeros(6, 4, 4), 'cross') -> layout: Argument
+cube_from_layout(torch.zeros(3, 10, 12), 'dice') -> faces: Shape
+cube_from_layout({'front': torch.zeros(4, 4)}, 'dict') -> faces: Argument
+Cubemap(0) -> size: Argument
+Cubemap(128, 128) -> dtype: ArgumentType
+Cubemap(4).sample(torch.zeros(6, 4, 4), DIRECTIONS) -> values: Shape
+Cubemap(10**6) -> size: Argument
+Healpix(3, nested=True) -> nside: Argument
+Healpix(0) -> nside: Argument
+Healpix(2).sample(torch.zeros(1, 50), torch.ones(1, 3)) -> values: Shape
+Healpix(2).locate(torch.ones(1, 3), 'rings') -> interpolation: Argument
+Healpix(2**20) -> nside: Argument
+healpix_pool(torch.ones(108)) -> values: Argument
+healpix_pool(torch.ones(12)) -> values: Argument
+healpix_upsample(torch.ones(13)) -> values: Shape
+EquirectangularPad2d(-1) -> padding: Argument
+CubePad2d(5)(torch.zeros(6, 3, 4, 4)) -> padding: Argument
+Resample(Cubemap(4), Healpix(1), mode='bicubic') -> mode: Argument
+Resample(Cubemap(4), 'cube') -> target: Argument
+sphere_taps((8, 16), stride=(0, 1)) -> stride: Argument
+TangentImages(0, 5, margin=2) -> size: Argument
+TangentImages(3, 10**6) -> base_level, size: Argument
+TangentImages(40, 8) -> level: Argument
+ring_from_nested(torch.ones(2), 4) -> ids: Argument
+nested_from_ring(torch.ones(2).bool(), 4) -> ids: Argument
+views(torch.zeros(3, 24, 48)).merge(quantity='range') -> quantity: Argument
+views(torch.zeros(1, 24, 48)).merge(quantity='depth') -> quantity: Argument
+views(torch.zeros(1, 24, 48), layout='dodecahedron') -> layout: Argument
+Views([torch.zeros(3, 24, 24)] * 2, rig()) -> images: Argument
+Views.of_pairs(rectified_pairs(rig()), [torch.zeros(24, 24)]) -> disparities: Argument
+Views([torch.zeros(1, 24, 24)] * 4, rig()).merge(center=rig().center) -> center: Argument
+# crown
 CrownConv2d(3, 4)(VALUES) -> crown: ArgumentType
-CrownConv3d(3, 4)(VALUES) -> crown: ArgumentType
-crown_relu(VALUES) -> crown: ArgumentType
-exchange(VALUES) -> crown: ArgumentType
-from_crown(VALUES) -> crown: ArgumentType
-from_crown(crown(torch.uint8)) -> crown: Argument
-crown_upsample(crown(torch.uint8)) -> crown: Argument
-crown_max_pool2d(VALUES) -> crown: ArgumentType
-CrownBatchNorm2d(3)(VALUES) -> crown: ArgumentType
-CrownPointwise(torch.nn.ReLU())(VALUES) -> crown: ArgumentType
-to_crown(VALUES[0]) -> values: Shape
 CrownConv2d(3, 4)(crown(DOUBLE)) -> crown: Argument
-CrownConv3d(3, 4)(crown(DOUBLE, 4)) -> crown: Argument
-CrownConvNorm2d(3, 4)(crown(DOUBLE)) -> crown: Argument
-CrownConvNorm3d(3, 4)(crown(DOUBLE, 4)) -> crown: Argument
-CrownBatchNorm2d(3)(crown(DOUBLE)) -> crown: Argument
-CrownPointwise(torch.nn.Conv2d(3, 4, 1))(crown(DOUBLE)) -> crown: Argument
-HexConv2d(3, 4)(VALUES.double()) -> values: Argument
-HexConv3d(3, 4)(torch.zeros(1, 3, 4, 162).double()) -> values: Argument
-CrownConv2d(3, 4)(crown(torch.int64)) -> crown: Argument
 CrownConv2d(5, 4)(crown()) -> crown: Shape
 CrownConv2d(3, 4)(crown(torch.float32, 4)) -> crown: Shape
 CrownConv2d(-3, 4) -> in_channels: Argument
 CrownConv2d(3, 4, stride=3) -> stride: Argument
-CrownConv2d(3, 4, 5) -> stride: Argument
+CrownConv2d(3, 5, stride=2)(to_crown(torch.zeros(1, 3, 12))) -> stride: Argument
+CrownConv3d(3, 4)(VALUES) -> crown: ArgumentType
+CrownConv3d(3, 4)(crown(DOUBLE, 4)) -> crown: Argument
 CrownConv3d(3, 4, kernel_size=5) -> kernel_size: Argument
+CrownConv3d(3, 5)(to_crown(torch.zeros(1, 3, 42))) -> crown: Shape
+crown_relu(VALUES) -> crown: ArgumentType
+exchange(VALUES) -> crown: ArgumentType
+from_crown(VALUES) -> crown: ArgumentType
+from_crown(crown(torch.uint8)) -> crown: Argument
+from_crown(Crown(crown().row, crown().col)) -> crown: Shape
+from_crown(Crown(crown().col, crown().row.expand(2, -1, -1, -1, -1))) -> crown: Shape
+crown_upsample(crown(torch.uint8)) -> crown: Argument
+crown_max_pool2d(VALUES) -> crown: ArgumentType
+CrownBatchNorm2d(3)(VALUES) -> crown: ArgumentType
+CrownBatchNorm2d(3)(crown(DOUBLE)) -> crown: Argument
+CrownBatchNorm2d(4)(to_crown(torch.zeros(1, 3, 42))) -> crown: Shape
+CrownPointwise(torch.nn.ReLU())(VALUES) -> crown: ArgumentType
+CrownPointwise(torch.nn.Conv2d(3, 4, 1))(crown(DOUBLE)) -> crown: Argument
+to_crown(VALUES[0]) -> values: Shape
+to_crown(torch.zeros(1, 1, 13)) -> number of vertices: Shape
+CrownConvNorm2d(3, 4)(crown(DOUBLE)) -> crown: Argument
+HexConv2d(3, 4)(VALUES.double()) -> values: Argument
 HexConv2d(3, 4, kernel_size=5) -> kernel_size: Argument
-crown_conv2d(crown(), torch.zeros(4, 3, 7), torch.zeros(3)) -> bias: Shape
 HexConv2d(3, 4)(crown()) -> values: ArgumentType
+HexConv2d(4, 5)(torch.zeros(1, 3, 42)) -> values: Shape
+HexConv2d(3, 5, orientation='north', level=2)(torch.zeros(1, 3, 42)) -> values: Shape
+HexConv2d(3, 5, orientation='north') -> level: Argument
+HexConv2d(3, 5, orientation='south') -> orientation: Argument
+HexConv2d(3, 5, stride=3) -> stride: Argument
+HexConv2d(3, 5, stride=2)(torch.zeros(1, 3, 12)) -> stride: Argument
+HexConv2d(3, 5)(torch.zeros(1, 3, 43)) -> number of vertices: Shape
+HexConv3d(3, 4)(torch.zeros(1, 3, 4, 162).double()) -> values: Argument
+HexConv3d(3, 5)(torch.zeros(1, 3, 42)) -> values: Shape
+crown_conv2d(crown(), torch.zeros(4, 3, 7), torch.zeros(3)) -> bias: Shape
+crown_conv2d(to_crown(torch.zeros(1, 3, 42)), torch.zeros(5, 3, 9)) -> weight: Shape
 crown() + VALUES -> crown: ArgumentType
 crown() + to_crown(torch.zeros(1, 3, 42)) -> crown: Shape
-# sweeps and networks
+hex_conv2d(torch.zeros(1, 3, 42), torch.zeros(5, 3, 9)) -> weight: Shape
+CrownAvgPool2d()(to_crown(torch.zeros(1, 3, 12))) -> stride: Argument
+CrownMaxPool2d()(to_crown(torch.zeros(1, 3, 12))) -> stride: Argument
+CrownMaxPool2d()(to_crown(torch.zeros(1, 3, 4, 42))) -> crown: Shape
+hex_group_conv2d(torch.zeros(1, 3, 162), torch.zeros(4, 3, 6, 7)) -> values: Shape
+hex_group_conv2d(torch.zeros(1, 3, 6, 162), torch.zeros(4, 3, 7)) -> weight: Shape
+# sweep
 sweep()(torch.zeros(1, 4, 5, 162).long(), rig()) -> features: Argument
 sweep()(torch.zeros(1, 3, 5, 162), rig()) -> features: Shape
 sweep()(torch.zeros(1, 4, 5, 42), rig()) -> features: Shape
-sweep()(torch.zeros(1, 1, 5, 162), [camera()]) -> rig: ArgumentType
 sweep()(torch.zeros(1, 1, 5, 162), camera()) -> rig: ArgumentType
-PanoramaSweep((8, 16), 8, 0.5).tables(camera()) -> rig: ArgumentType
 sweep()(torch.zeros(1, 4, 5, 162), rig(), torch.ones(4, 162)) -> seen: Argument
 SphereSweep(2, 1, 0.5) -> num_hypotheses: Argument
 SphereSweep(2, 8.5, 0.5) -> num_hypotheses: Argument
@@ -290,38 +422,191 @@ SphereSweep(2, 10 ** 9, 0.5) -> num_hypotheses: Argument
 SphereSweep(2, 8, 0.0) -> min_depth: Argument
 SphereSweep(2, 8, NAN) -> min_depth: Argument
 SphereSweep(2, 8, 'near') -> min_depth: ArgumentType
+sweep()(torch.zeros(1, 4, 5, 162), rig(), SEEN[:2, :162]) -> seen: Shape
+SphereSweep(-1, 4, 0.5) -> level: Argument
+sweep()(torch.zeros(3, 4, 2, 162), CameraRig.stack([rig(), rig()])) -> rig: Shape
+sweep()(torch.zeros(1, 4, 5, 162), SphereSweep(3, 8, 0.5).tables(rig())) -> rig: Shape
+sweep()(torch.zeros(1, 4, 5, 162), SphereSweep(2, 9, 0.5).tables(rig())) -> rig: Shape
+PanoramaSweep((8, 16), 8, 0.5).tables(camera()) -> rig: ArgumentType
+PanoramaSweep((4, 8), 4, 0.5)(torch.zeros(1, 4, 3, 24, 24), rig()) -> features: Shape
+PanoramaSweep((4, 8), 4, 0.5)(torch.zeros(1, 3, 3, 12, 12), rig()) -> features: Shape
+PanoramaSweep((4, 8), 4, 0.5)(torch.zeros(3, 4, 3, 12, 12), CameraRig.stack([rig(), rig()])) -> rig: Shape
+PanoramaSweep((4, 8), 4, 0.5).tables(rig().resized({'cam1': (10, 10)})) -> rig: Argument
+PanoramaSweep((4, 8), 4, 0.5).tables_for(VIEWS, PanoramaSweep((8, 16), 4, 0.5).tables(rig())) -> rig: Shape
 index_from_depth(torch.ones(3).long(), 8, 0.5) -> depth: Argument
 soft_argmax(torch.zeros(8, 162).long()) -> logits: Argument
+soft_argmax(torch.zeros(8)) -> logits: Shape
+photo_consistency(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, level=4) -> level: Argument
+photo_consistency(torch.zeros(2, 3, 642), ring_rig(2), 8, 0.5) -> sphere_images: Shape
+photo_consistency(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, aggregation=-1) -> aggregation: Argument
+photo_consistency(IMAGES, rig(), 8, 0.5, seen=SEEN.float()) -> seen: Argument
+photo_consistency(IMAGES.byte(), rig(), 8, 0.5) -> sphere_images: Argument
+correlation_evidence(IMAGES[0], pair()) -> images: Shape
+correlation_evidence(IMAGES[:, :1], pair()) -> images: Shape
+correlation_evidence(IMAGES[:, :2], pair(), SEEN[0]) -> seen: Shape
+correlation_evidence(IMAGES[:, :2], pair(), level=2) -> level: Argument
+correlation_evidence(IMAGES[:, :2], SweepTables(*(x.expand(3, *x.shape) for x in pair()))) -> tables: Shape
+Concatenation(3, 4)(SweepVolume(torch.zeros(1, 2, 3, 5, 6), torch.ones(1, 2, 5, 6) > 0)) -> volume: Shape
+photo_consistency_share(torch.zeros(1, 2562), IMAGES, rig(), 9, 0.5) -> index: Shape
+photo_consistency_share(torch.zeros(2, 642), torch.zeros(1, 4, 3, 10242), rig(), 9, 0.5) -> sphere_images: Shape
+photo_consistency_share(torch.zeros(1, 42), IMAGES, semi_global_tables(rig(), 9, 0.5, 2), 9, 0.5, SEEN) -> rig: Shape
+semi_global_sweep(IMAGES[:, :2], semi_global_tables(ring_rig(2), 9, 0.5, 3, substeps=1), 8, 0.5) -> rig: Argument
+semi_global_sweep(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, cost_level=4) -> level, cost_level: Argument
+semi_global_sweep(torch.zeros(1, 2, 3, 642)[0], ring_rig(2), 8, 0.5) -> sphere_images: Shape
+semi_global_sweep(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, substeps=0) -> substeps: Argument
+semi_global_sweep(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, level=11) -> level: Argument
+semi_global_sweep(IMAGES[:, :2], ring_rig(2), 8, 0.5, small_penalty=5.0) -> small_penalty, large_penalty: Argument
+semi_global_sweep(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, seen=torch.ones(3, 642) > 0) -> seen: Shape
+semi_global_sweep(IMAGES, semi_global_tables(rig(), 8, 0.5, 2), 8, 0.5, seen=SEEN) -> rig: Shape
+semi_global_sweep(IMAGES, rig(), 8, 0.5, seen=SEEN.byte()) -> seen: Argument
+semi_global_sweep(IMAGES.byte(), rig(), 8, 0.5) -> sphere_images: Argument
+semi_global_smoothing(torch.zeros(1, 4, 42), 0.5, 0.1) -> small_penalty, large_penalty: Argument
+semi_global_smoothing(torch.zeros(1, 4, 42)[0], 0.1, 0.5) -> cost: Shape
+semi_global_smoothing(torch.zeros(1, 4, 42), 0.1, 0.5, torch.zeros(1, 3, 162)) -> guide: Shape
+semi_global_smoothing(torch.zeros(1, 4, 42), 0.1, 0.5, contrast=0.0) -> contrast: Argument
+semi_global_smoothing(torch.zeros(1, 4, 42), 0.1, 0.5, lead=5.0) -> lead: Argument
+inverse_depth_hypotheses(2.5, 0.5) -> num_hypotheses: Argument
+inverse_depth_hypotheses(8, 5e-324) -> min_depth: Argument
+inverse_depth_hypotheses(8, 1e10) -> min_depth: Argument
+# models
 net()(np.zeros((1, 4, 3, 2562)), rig()) -> images: ArgumentType
 net()(torch.zeros(1, 4, 3, 2562).double(), rig()) -> images: Argument
 net()(torch.zeros(1, 4, 3, 2562).byte(), rig()) -> images: Argument
 net()(torch.zeros(1, 4, 3, 162), rig()) -> images: Shape
 net()(torch.zeros(1, 3, 3, 2562), rig().subset([0, 1, 2])) -> images: Shape
 net()(torch.zeros(1, 4, 3, 2562), None) -> rig: ArgumentType
-SemiGlobalSweep(3, 8, 0.5)(np.zeros((1, 4, 3, 642)), rig()) -> images: ArgumentType
+net()(torch.zeros(1, 4, 3, 2562), ring_rig(3)) -> features: Shape
 pretrained('resnet') -> name: Argument
-# losses and metrics
-depth_index_huber(torch.zeros(1, 5), torch.zeros(1, 5), delta=-1.0) -> delta: Argument
-solid_angle_mean(LABELS, ico().solid_angles) -> values: Argument
+ConstantDepth(3, 8, 0.5).fit(torch.ones(1, 1), torch.zeros(1, 1) > 0) -> inverse_depth: Argument
+IcoSweepNet(3, feature_coarsening=3) -> coarsening: Argument
+IcoSweepNet(3, volume_channels=0) -> feature_channels, volume_channels: Argument
+IcoSweepNet(3, aggregation='median') -> aggregation: Argument
+IcoSweepNet(30) -> level: Argument
+IcoSweepNet(1) -> level: Argument
+IcoSweepNet(3, 1) -> num_hypotheses: Argument
+IcoSweepNet(3, min_depth=-1.0) -> min_depth: Argument
+IcoSweepNet(3, num_cameras=0) -> num_cameras: Argument
+RefinedSweepNet(level=4) -> level: Argument
+RefinedSweepNet.around(torch.nn.Identity()) -> prior: Argument
+OmniMVS(output_size=(160, 600)) -> output_size: Argument
+OmniMVS(output_size=(33, 64)) -> output_size: Argument
+OmniMVS(output_size=(64, 64)) -> height, width: Argument
+OmniMVS(15) -> num_hypotheses: Argument
+OmniMVS(8, in_channels=2) -> in_channels: Argument
+OmniMVS(8, aggregation='sum') -> aggregation: Argument
+OmniMVS(8, norm='layer') -> norm: Argument
+OmniMVS(8, num_scales=0) -> feature_channels, num_scales: Argument
+RomniStereo(16, output_size=(15, 64)) -> output_size: Argument
+RomniStereo(14) -> num_hypotheses: Argument
+RomniStereo(17) -> num_hypotheses: Argument
+RomniStereo(16, iterations=0) -> feature_channels, iterations: Argument
+RomniStereo(16, in_channels=2) -> in_channels: Argument
+# metrics
 DepthIndexError(8).update(np.zeros((1, 3)), torch.zeros(1, 3)) -> pred_index: ArgumentType
+DepthIndexError(0) -> num_hypotheses: Argument
+DepthIndexError(8).update(torch.zeros(1, 5), torch.zeros(1, 6)) -> target_index: Shape
+DepthIndexError(8).update(torch.zeros(1, 5), torch.zeros(1, 5), torch.ones(5, dtype=torch.bool)) -> mask: Shape
+DepthIndexError(8).update(torch.zeros(1, 5), torch.zeros(1, 5), weights=torch.ones(4)) -> weights: Shape
 DepthError().update(torch.ones(1, 3), np.ones((1, 3))) -> target_depth: ArgumentType
+DepthError(max_depth=0.0) -> max_depth: Argument
 SolidAngleMean(3) -> grid: ArgumentType
+SolidAngleMean(Equirectangular(4, 8)).update(torch.zeros(1, 8, 4)) -> values: Shape
+SolidAngleMean(Equirectangular(4, 8)).update(torch.zeros(2, 4, 8), torch.ones(1, 4, 8)) -> mask: Shape
 angular_error(INTEGERS, DIRECTIONS) -> pred: Argument
-# scenes and samples
+SolidAngleIoU(ico(), 2).update(LABELS + 0.5, LABELS) -> pred: Argument
+SolidAngleIoU(ico(), 2).update(LABELS, LABELS.float()) -> target: Argument
+SolidAngleIoU(ico(), 3, ignore_index=-1).update(LABELS.byte(), LABELS.byte() + 255) -> target: Argument
+SolidAngleIoU(ico(), 2).update(LABELS, LABELS + 7) -> target: Argument
+seam_mask(torch.tensor([[0.0, -1.0, 0.0]]), seams='cube') -> seams: Argument
+seam_mask(torch.tensor([[0.0, -1.0, 0.0]]), 0.0) -> angle: Argument
+omnimvs_error(torch.zeros(1, 8, 24), torch.zeros(1, 8, 24)) -> pred_inverse_depth: Shape
+omnimvs_error(torch.zeros(1, 8, 16), torch.zeros(1, 8)) -> target_inverse_depth: Shape
+evaluation_mask(ring_rig(4), torch.tensor([[0.0, -1.0, 0.0]]), torch.zeros(1)) -> inverse_depth: Shape
+evaluation_mask(rig(), DIRECTIONS, torch.zeros(1, 1), least_cameras=0) -> least_cameras: Argument
+evaluation_mask(rig(), DIRECTIONS, torch.zeros(1, 1), torch.ones(2, 1)) -> valid: Shape
+OmniMVSError(min_depth=0.0) -> min_depth, num_hypotheses: Argument
+OmniMVSError().update(torch.zeros(1, 8, 16), torch.zeros(1, 8, 16), weights=torch.ones(128)) -> weights: Argument
+ByRegion(DepthIndexError(8), {}) -> regions: Argument
+ByRegion(DepthIndexError(8), {'seam': torch.ones(3)}).update(torch.zeros(1, 4), torch.zeros(1, 4)) -> prediction: Shape
+left_right_error(torch.ones(2, 3), torch.ones(2, 3)) -> pred: Shape
+# losses
+depth_index_huber(torch.zeros(1, 5), torch.zeros(1, 5), delta=-1.0) -> delta: Argument
+depth_index_huber(torch.zeros(1, 5), torch.zeros(1, 5), weights=torch.ones(4)) -> weights: Shape
+depth_index_huber(torch.zeros(2, 5), torch.zeros(2, 1, 5)) -> target_index: Shape
+depth_index_huber(torch.zeros(2, 5), torch.zeros(2, 5), torch.ones(5, dtype=torch.bool)) -> mask: Shape
+solid_angle_mean(LABELS, ico().solid_angles) -> values: Argument
+solid_angle_mean(torch.zeros(8, 4), Equirectangular(4, 8).solid_angles) -> values: Shape
+solid_angle_mean(torch.zeros(4, 8), Equirectangular(4, 8).solid_angles, torch.ones(3, 8)) -> mask: Shape
+# data
+collate_samples([3]) -> samples: ArgumentType
+collate_samples([{'a': 1}, {'b': 2}]) -> samples: Argument
+collate_samples([]) -> samples: Argument
+collate_samples([{'images': {'a': IMAGE}}, {'images': {'a': IMAGE[:, 1:]}}]) -> images.a: Shape
+random_rotations(-1) -> count: Argument
+Compose([max, min]) -> transforms: ArgumentType
+RandomYaw(Icosphere(1), p=2.0) -> p: Argument
+RandomYaw(Icosphere(1), angles='exact') -> angles: Argument
+RandomYaw(Icosphere(1))({'colour': torch.rand(1, 42)}) -> sample: Argument
+RandomYaw(Icosphere(1)).inverse(torch.rand(1, 3, 42)) -> params: Argument
+RandomYaw(Icosphere(1), kinds={'flow': 'vectors'}) -> kinds['flow']: Argument
+RandomYaw(Icosphere(1))({'image': torch.rand(2, 3, 42), 'depth': torch.rand(42)}) -> depth: Shape
+RandomYaw(ico())({'images': VALUES, 'panorama_valid': torch.ones(4, 8), 'rig': rig()}) -> sample: Argument
+RandomSphereRotation(Icosphere(1), max_angle=0.0) -> max_angle: Argument
+RandomSphereRotation(ico())({'images': VALUES, 'panorama_valid': SEEN, 'rig': rig()}) -> sample: Argument
+RotateFisheye(mode='depth') -> mode: Argument
+RotateFisheye(rotation=torch.eye(4)) -> rotation: Shape
+RotateFisheye()({'images': VALUES, 'rig': rig()}) -> RotateFisheye: Argument
+RotateFisheye()({'images': {'cam1': IMAGE}, 'rig': rig()}) -> images: Argument
+SampleView(-1) -> level: Argument
+SampleView() -> view: Argument
+SampleView(panorama=(10, 30)) -> panorama: Shape
+RandomShift()({'images': VALUES, 'rig': rig()}) -> RandomShift: Argument
+RotateFivefold(steps=1)({'panorama_valid': torch.ones(8, 16), 'rig': rig()}) -> panorama_valid: Argument
+truth_from_points(torch.ones(4), ico()) -> points: Shape
+truth_from_points(torch.full((3, 3), NAN), ico()) -> points: Argument
+truth_from_points(torch.ones(3, 3), ico(), gap=-1.0) -> gap: Argument
+# scenes
 make_scene('room', seed='a') -> seed: ArgumentType
 make_scene('moon') -> kind: Argument
+make_scene(scale=0.0) -> scale: Argument
+make_scene(clear_radius=2.0) -> clear_radius: Argument
 render_rig(None, rig()) -> scene: ArgumentType
 render_rig(make_scene('bare'), camera()) -> rig: ArgumentType
 render_directions(make_scene('bare'), torch.zeros(3), POINTS) -> directions: ArgumentType
-collate_samples([3]) -> samples: ArgumentType
-random_rotations(-1) -> count: Argument
-Compose([max, min]) -> transforms: ArgumentType
-# pictures and points
+World(rig(), kind='street') -> kind: Argument
+World(rig(), min_depth=0.0) -> min_depth: Argument
+World(rig(), tilts=(0.4, 0.1)) -> tilts: Argument
+World(rig(), tilts=(-0.3, 0.8), carrier='pole') -> tilts: Argument
+WorldSamples(World(rig()), SampleView(1), range(0)) -> seeds: Argument
+WorldSamples(World(rig()), SampleView(1), range(-1, 1)) -> seeds: Argument
+WorldSamples(World(rig()), SampleView(1), range(10_000_000, 10_000_001)) -> seeds: Argument
+WorldSamples(World(ring_rig(4, 1.2)), SampleView(1), range(1)) -> rig: Argument
+WorldSamples(World(rig().resized({'cam1': (20, 20)})), SampleView(images=True), range(1))[0] -> images: Shape
+render_camera(make_scene(), camera(), torch.eye(4), samples_per_pixel=0) -> samples_per_pixel: Argument
+# viz
+rig_picture(camera()) -> rig: ArgumentType
+rig_picture(CameraRig.stack([rig(), rig()])) -> rig: Argument
 save_point_cloud('x.ply', POINTS, torch.zeros(5, 3)) -> points: ArgumentType
 save_point_cloud('x.doc', DIRECTIONS, DIRECTIONS) -> path: Argument
+save_point_cloud('x.ply', torch.zeros(4, 3), torch.zeros(5, 3)) -> colors: Shape
+save_point_cloud('x.ply', torch.tensor([[NAN, 0.0, 0.0]]), torch.zeros(1, 3)) -> points: Argument
 icosphere_mesh(5) -> depth: ArgumentType
+icosphere_mesh(torch.ones(42), max_jump=0.9) -> max_jump: Argument
+icosphere_mesh(torch.ones(42), torch.ones(42, 3)) -> colors: Shape
 sphere_mesh(ico()) -> values: ArgumentType
-# depth of a rig
+sphere_mesh(torch.ones(2, 42)) -> values: Shape
+angle_map(PinholeCamera([200.0, 200.0], [99.5, 99.5], (200, 200)), torch.zeros(3, 100, 200)) -> image: Shape
+error_to_color(torch.ones(2), 0.0) -> max_error: Argument
+sheet([np.zeros((2, 2, 3))]) -> picture: Shape
+sheet([]) -> sheet: Argument
+depth_panorama(torch.ones(1, 4, 8), 0.5) -> depth: Shape
+rgb_panorama(rig(), {}, 16) -> images: Argument
+rgb_panorama(rig(), pictures(torch.zeros(3, 24, 24)), 16, torch.ones(8, 16)) -> depth: Shape
+depth_to_color(torch.ones(2), 2.0, 1.0) -> min_depth, max_depth: Argument
+depth_to_color(torch.ones(2), NAN, 1.0) -> min_depth, max_depth: Argument
+depth_to_color(torch.ones(2), 0.0, math.inf) -> min_depth, max_depth: Argument
+coverage_panorama(CameraRig.stack([rig(), rig()])) -> rig: Argument
+# capture
 Predictor(rig().subset(['cam1']), min_depth=0.5) -> rig: Argument
 Predictor(CameraRig([camera()] * 2, EYES.repeat(2, 1, 1)), min_depth=0.5) -> rig: Argument
 Predictor(camera()) -> rig: ArgumentType
@@ -334,407 +619,22 @@ sees({'cam1': torch.zeros(3, 24, 24)}) -> images: Argument
 sees(pictures(torch.zeros(3, 5, 24))) -> images['cam1']: Shape
 sees(pictures(torch.full((3, 24, 24), 200.0))) -> images['cam1']: Argument
 sees(pictures(torch.full((3, 24, 24), NAN))) -> images['cam1']: Argument
-# sphere: cubemap
-cube_to_layout(torch.zeros(5, 4, 4)) -> values: Shape
-cube_to_layout(torch.zeros(6, 4, 4), 'cross') -> layout: Argument
-cube_from_layout(torch.zeros(3, 10, 12), 'dice') -> faces: Shape
-cube_from_layout({'front': torch.zeros(4, 4)}, 'dict') -> faces: Argument
-Cubemap(0) -> size: Argument
-Cubemap(128, 128) -> dtype: ArgumentType
-# sphere: equirectangular
-Equirectangular(4, 0) -> width: Argument
-# sphere: healpix
-Healpix(3, nested=True) -> nside: Argument
-Healpix(0) -> nside: Argument
-Healpix(2).sample(torch.zeros(1, 50), torch.ones(1, 3)) -> values: Shape
-Healpix(2).locate(torch.ones(1, 3), 'rings') -> interpolation: Argument
-healpix_pool(torch.ones(108)) -> values: Argument
-healpix_pool(torch.ones(12)) -> values: Argument
-healpix_upsample(torch.ones(13)) -> values: Shape
-# sphere: latitudes
-Equirectangular.with_square_pixels(5, 8) -> height, width: Argument
-Equirectangular(4, 8, max_latitude=45.0) -> max_latitude: Argument
-EquirectangularCamera((4, 8), 1.0, latitudes=(0, 0.5)) -> vertical_field_of_view, latitudes: Argument
-# sphere: padding
-equirectangular_pad(torch.zeros(2, 4), 3) -> padding: Argument
-EquirectangularPad2d(-1) -> padding: Argument
-equirectangular_pad(torch.zeros(4), 1) -> images: Shape
-cube_pad(torch.zeros(5, 3, 4, 4), 1) -> faces: Shape
-CubePad2d(5)(torch.zeros(6, 3, 4, 4)) -> padding: Argument
-# sphere: resample
-resample(torch.zeros(1, 43), Icosphere(1), Equirectangular(4, 8)) -> values: Shape
-resample(torch.zeros(1, 42), Icosphere(1), 'panorama') -> target: Argument
-resample(torch.zeros(1, 42), Icosphere(1), Equirectangular(4, 8), torch.eye(4)) -> rotation: Shape
-# sphere: resample module
-Resample(Cubemap(4), Healpix(1), mode='bicubic') -> mode: Argument
-Resample(Cubemap(4), 'cube') -> target: Argument
-# sphere: sphere conv
-SphereConv2d(3, 8, 4) -> kernel_size: Argument
-SphereConv2d(3, 8, 5)(torch.zeros(1, 3, 4, 8)) -> kernel_size: Argument
-sphere_taps((8, 16), stride=(0, 1)) -> stride: Argument
-# sphere: tangent
-TangentImages(0, 5, margin=2) -> size: Argument
-TangentImages(-1, 5) -> level: Argument
-# icosphere: adjacency
-icosphere_within(torch.ones(3), -0.1, 2) -> angle: Argument
-icosphere_rings(1, 1, torch.tensor([42])) -> centers: Argument
-# icosphere: areas
-icosphere_normals(torch.ones(43, 3)) -> number of vertices: Shape
-# icosphere: levels
-icosphere_pool(torch.ones(42), 'median') -> mode: Argument
-icosphere_pool(torch.ones(12)) -> level: Argument
-icosphere_pool(LABELS) -> values: Argument
-icosphere_upsample(torch.ones(43)) -> number of vertices: Shape
-icosphere_upsample(LABELS) -> values: Argument
-IcosphereUpsample(2)(LABELS.byte()) -> values: Argument
-IcospherePool(2)(torch.ones(1, 42)) -> values: Shape
-# icosphere: locate
-Icosphere(1).locate(torch.zeros(4, 2)) -> directions: Shape
-Icosphere(1).locate(torch.zeros(4, 3, dtype=torch.long)) -> directions: Argument
-Icosphere(1).sample(torch.zeros(1, 12), torch.ones(4, 3)) -> values: Shape
-Icosphere(1).sample(torch.zeros(1, 42), torch.ones(3)) -> directions: Shape
-# icosphere: topology
-Icosphere(0).coarser() -> Icosphere.coarser: Argument
-# crown: hexconv
-HexConv2d(4, 5)(torch.zeros(1, 3, 42)) -> values: Shape
-hex_conv2d(torch.zeros(1, 3, 42), torch.zeros(5, 3, 9)) -> weight: Shape
-HexConv3d(3, 5)(torch.zeros(1, 3, 42)) -> values: Shape
-HexConv2d(3, 5, orientation='north', level=2)(torch.zeros(1, 3, 42)) -> values: Shape
-HexConv2d(3, 5, orientation='north') -> level: Argument
-HexConv2d(3, 5, orientation='south') -> orientation: Argument
-HexConv2d(3, 5, stride=3) -> stride: Argument
-HexConv2d(3, 5, stride=2)(torch.zeros(1, 3, 12)) -> stride: Argument
-# crown: layers
-CrownConv2d(4, 5)(to_crown(torch.zeros(1, 3, 42))) -> crown: Shape
-crown_conv2d(to_crown(torch.zeros(1, 3, 42)), torch.zeros(5, 3, 9)) -> weight: Shape
-CrownConv3d(3, 5)(to_crown(torch.zeros(1, 3, 42))) -> crown: Shape
-CrownConv2d(3, 5, stride=3) -> stride: Argument
-CrownConv2d(3, 5, stride=2)(to_crown(torch.zeros(1, 3, 12))) -> stride: Argument
-CrownBatchNorm2d(4)(to_crown(torch.zeros(1, 3, 42))) -> crown: Shape
-CrownAvgPool2d()(to_crown(torch.zeros(1, 3, 12))) -> stride: Argument
-# crown: layout
-to_crown(torch.zeros(1, 1, 13)) -> number of vertices: Shape
-to_crown(torch.zeros(12)) -> values: Shape
-# crown: sequential
-CrownMaxPool2d()(to_crown(torch.zeros(1, 3, 12))) -> stride: Argument
-CrownMaxPool2d()(to_crown(torch.zeros(1, 3, 4, 42))) -> crown: Shape
-# sweep: photo consistency
-photo_consistency(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, level=4) -> level: Argument
-hex_group_conv2d(torch.zeros(1, 3, 162), torch.zeros(4, 3, 6, 7)) -> values: Shape
-hex_group_conv2d(torch.zeros(1, 3, 6, 162), torch.zeros(4, 3, 7)) -> weight: Shape
-# sweep: correlation, aggregation
-correlation_evidence(IMAGES[0], pair()) -> images: Shape
-correlation_evidence(IMAGES[:, :1], pair()) -> images: Shape
-correlation_evidence(IMAGES[:, :2], pair(), SEEN[0]) -> seen: Shape
-correlation_evidence(IMAGES[:, :2], pair(), level=2) -> level: Argument
-correlation_evidence(IMAGES[:, :2], SweepTables(*(x.expand(3, *x.shape) for x in pair()))) -> tables: Shape
-Concatenation(3, 4)(SweepVolume(torch.zeros(1, 2, 3, 5, 6), torch.ones(1, 2, 5, 6) > 0)) -> volume: Shape
-sweep()(torch.zeros(1, 4, 5, 162), rig(), SEEN[:2, :162]) -> seen: Shape
-photo_consistency_share(torch.zeros(1, 2562), IMAGES, rig(), 9, 0.5) -> index: Shape
-semi_global_sweep(IMAGES[:, :2], semi_global_tables(ring_rig(2), 9, 0.5, 3, substeps=1), 8, 0.5) -> rig: Argument
-SolidAngleIoU(ico(), 2).update(LABELS + 0.5, LABELS) -> pred: Argument
-SolidAngleIoU(ico(), 2).update(LABELS, LABELS.float()) -> target: Argument
-SolidAngleIoU(ico(), 3, ignore_index=-1).update(LABELS.byte(), LABELS.byte() + 255) -> target: Argument
-ConstantDepth(3, 8, 0.5).fit(torch.ones(1, 1), torch.zeros(1, 1) > 0) -> inverse_depth: Argument
-# sweep: semi global
-semi_global_sweep(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, cost_level=4) -> level, cost_level: Argument
-# sweep: smoothing
-semi_global_smoothing(torch.zeros(1, 4, 42), 0.5, 0.1) -> small_penalty, large_penalty: Argument
-# sweep: sphere sweep
-SphereSweep(2, 4, 0.5)(torch.zeros(1, 4, 2, 642), ring_rig(4)) -> features: Shape
-SphereSweep(2, 4, 0.5)(torch.zeros(1, 3, 2, 162), ring_rig(4)) -> features: Shape
-# metrics: evaluation masks
-seen_by(ring_rig(4), torch.tensor([[0.0, -1.0, 0.0]]), torch.zeros(2)) -> inverse_depth: Shape
-seen_by(ring_rig(4), torch.tensor([[0.0, -1.0, 0.0]]), -torch.ones(1)) -> inverse_depth: Argument
-seam_mask(torch.tensor([[0.0, -1.0, 0.0]]), seams='cube') -> seams: Argument
-omnimvs_error(torch.zeros(1, 8, 24), torch.zeros(1, 8, 24)) -> pred_inverse_depth: Shape
-# metrics: sphere metrics
-SolidAngleMean(Equirectangular(4, 8)).update(torch.zeros(1, 8, 4)) -> values: Shape
-solid_angle_mean(torch.zeros(8, 4), Equirectangular(4, 8).solid_angles) -> values: Shape
-solid_angle_mean(torch.zeros(4, 8), Equirectangular(4, 8).solid_angles, torch.ones(3, 8)) -> mask: Shape
-# models: network aggregation
-IcoSweepNet(3, feature_coarsening=3) -> coarsening: Argument
-# models: refinedsweepnet
-RefinedSweepNet(level=4) -> level: Argument
-# models: weights
-pretrained('nonesuch') -> name: Argument
-# data: collate
-collate_samples([{'a': 1}, {'b': 2}]) -> samples: Argument
-collate_samples([]) -> samples: Argument
-# data: sphere transforms
-RandomYaw(Icosphere(1), p=2.0) -> p: Argument
-RandomYaw(Icosphere(1), angles='exact') -> angles: Argument
-RandomYaw(Icosphere(1))({'colour': torch.rand(1, 42)}) -> sample: Argument
-RandomYaw(Icosphere(1)).inverse(torch.rand(1, 3, 42)) -> params: Argument
-# viz: cameras picture
-angle_map(PinholeCamera([200.0, 200.0], [99.5, 99.5], (200, 200)), torch.zeros(3, 100, 200)) -> image: Shape
-# viz: color
-error_to_color(torch.ones(2), 0.0) -> max_error: Argument
-# viz: figure
-sheet([np.zeros((2, 2, 3))]) -> picture: Shape
-sheet([]) -> sheet: Argument
-# viz: mesh
-sphere_mesh(torch.ones(2, 42)) -> values: Shape
-icosphere_mesh(torch.ones(42), max_jump=0.9) -> max_jump: Argument
-icosphere_mesh(torch.ones(42), torch.ones(42, 3)) -> colors: Shape
-# geometry: interpolation
-bilinear_sample(torch.zeros(1, 2, 2, dtype=torch.uint8), torch.zeros(1, 2)) -> image: Argument
-# cameras: coverage
-coverage(ring_rig(3), torch.ones(2, 2, 3), [1.0]) -> directions: Shape
-# cameras: kornia
-to_kornia(PinholeCamera([500.0, 510.0], [319.5, 239.5], (480, 640), skew=2.5)) -> camera: Argument
-# cameras: models
-PinholeCamera([1.0, 1.0], [0.0, 0.0], (10.5, 20)) -> image_size: Argument
-# sphere: sphere conv
-SphereConv2d(3, 8)(torch.zeros(1, 4, 8, 16)) -> images and weight: Shape
-# icosphere: adjacency
-icosphere_within(torch.ones(2), 0.1, 2) -> directions: Shape
-icosphere_rings(1, -1) -> num_rings: Argument
-icosphere_edges(-1) -> level: Argument
-# icosphere: areas
-icosphere_normals(torch.ones(42, 2)) -> points: Shape
-# crown: hexconv
-HexConv2d(3, 5)(torch.zeros(1, 3, 43)) -> number of vertices: Shape
-# sweep: photo consistency
-photo_consistency(torch.zeros(2, 3, 642), ring_rig(2), 8, 0.5) -> sphere_images: Shape
-photo_consistency(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, aggregation=-1) -> aggregation: Argument
-# sweep: regression
-soft_argmax(torch.zeros(8)) -> logits: Shape
-# sweep: semi global
-semi_global_sweep(torch.zeros(1, 2, 3, 642)[0], ring_rig(2), 8, 0.5) -> sphere_images: Shape
-semi_global_sweep(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, substeps=0) -> substeps: Argument
-semi_global_sweep(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, level=11) -> level: Argument
-# sweep: smoothing
-semi_global_smoothing(torch.zeros(1, 4, 42)[0], 0.1, 0.5) -> cost: Shape
-semi_global_smoothing(torch.zeros(1, 4, 42), 0.1, 0.5, torch.zeros(1, 3, 162)) -> guide: Shape
-semi_global_smoothing(torch.zeros(1, 4, 42), 0.1, 0.5, contrast=0.0) -> contrast: Argument
-semi_global_smoothing(torch.zeros(1, 4, 42), 0.1, 0.5, lead=5.0) -> lead: Argument
-# sweep: sphere sweep
-SphereSweep(-1, 4, 0.5) -> level: Argument
-# metrics: depth errors
-DepthIndexError(0) -> num_hypotheses: Argument
-DepthError(max_depth=0.0) -> max_depth: Argument
-DepthIndexError(8).update(torch.zeros(1, 5), torch.zeros(1, 6)) -> target_index: Shape
-DepthIndexError(8).update(torch.zeros(1, 5), torch.zeros(1, 5), torch.ones(5, dtype=torch.bool)) -> mask: Shape
-DepthIndexError(8).update(torch.zeros(1, 5), torch.zeros(1, 5), weights=torch.ones(4)) -> weights: Shape
-# metrics: evaluation masks
-evaluation_mask(ring_rig(4), torch.tensor([[0.0, -1.0, 0.0]]), torch.zeros(1)) -> inverse_depth: Shape
-seam_mask(torch.tensor([[0.0, -1.0, 0.0]]), 0.0) -> angle: Argument
-omnimvs_error(torch.zeros(1, 8, 16), torch.zeros(1, 8)) -> target_inverse_depth: Shape
-OmniMVSError(min_depth=0.0) -> min_depth, num_hypotheses: Argument
-ByRegion(DepthIndexError(8), {}) -> regions: Argument
-# metrics: sphere metrics
-SolidAngleMean(Equirectangular(4, 8)).update(torch.zeros(2, 4, 8), torch.ones(1, 4, 8)) -> mask: Shape
-depth_index_huber(torch.zeros(1, 5), torch.zeros(1, 5), weights=torch.ones(4)) -> weights: Shape
-# losses: losses
-depth_index_huber(torch.zeros(2, 5), torch.zeros(2, 1, 5)) -> target_index: Shape
-depth_index_huber(torch.zeros(2, 5), torch.zeros(2, 5), torch.ones(5, dtype=torch.bool)) -> mask: Shape
-# models: network aggregation
-IcoSweepNet(3, volume_channels=0) -> feature_channels, volume_channels: Argument
-# models: refinedsweepnet
-RefinedSweepNet.around(torch.nn.Identity()) -> prior: Argument
-# data: sphere transforms
-RandomSphereRotation(Icosphere(1), max_angle=0.0) -> max_angle: Argument
-# scenes: scenes
-make_scene(scale=0.0) -> scale: Argument
-make_scene(clear_radius=2.0) -> clear_radius: Argument
-# geometry: directions
-angle_from_axis(torch.zeros(3, 2)) -> points: Shape
-# geometry: transforms
-invert_transform(torch.eye(3)) -> a_from_b: Shape
-# cameras: coverage
-coverage(ring_rig(3), torch.eye(3), [1.0, 0.0]) -> depths: Argument
-overlap(torch.ones(2, 4).int(), torch.ones(3)) -> solid_angles: Shape
-# capture: preparation
+sees(blank() | {'left': IMAGE}) -> images: Argument
+sees(blank() | {'cam3': torch.zeros(1, 3, 24, 24)}) -> images: Shape
+sees(pictures(torch.zeros(24, 24, dtype=torch.int64))) -> images['cam1']: Argument
+Predictor(rig().subset([0, 1, 2]), net()) -> rig: Argument
+sees(blank()).camera('cam9') -> camera: Argument
+sees(blank()).camera('cam2', torch.eye(4)) -> world_from_camera: Argument
+sees(blank()).camera(camera(), 1000 * torch.eye(4)) -> world_from_camera: Argument
+sees(blank()).camera(camera(), torch.eye(4)[:3]) -> world_from_camera: Shape
+predictor()(blank(), POINTS) -> hint: Argument
 Preparation(photometric='yes') -> photometric: Argument
-# sphere: resample
-resample(VALUES, ico(), Equirectangular(4, 8), mode='cubic') -> mode: Argument
-resample(torch.zeros(1, 6, 4, 4).long(), Cubemap(4), Healpix(1)) -> values: Argument
-resample(torch.zeros(1, 6, 4, 4), Cubemap(4), ico(), mask=torch.ones(4, 4)) -> mask: Shape
-# sphere: grids
-Cubemap(4).sample(torch.zeros(6, 4, 4), DIRECTIONS) -> values: Shape
-Equirectangular(4, 8).sample(torch.zeros(3, 8, 4), DIRECTIONS) -> values: Shape
-Equirectangular.with_square_pixels(2, 8).sample(torch.zeros(1, 8, 2), DIRECTIONS) -> values: Shape
-Equirectangular.with_square_pixels(2, 8).rows_of(torch.zeros(3, 8)) -> panorama: Shape
-Equirectangular(4, 8, latitudes=(0.5, -0.5)) -> latitudes: Argument
-Equirectangular(4, 8, latitudes=(0, 2)) -> latitudes: Argument
-Equirectangular(4, 8, longitudes=(0, 7)) -> longitudes: Argument
-Equirectangular(4, 8, longitudes=3) -> latitudes, longitudes: Argument
-EquirectangularCamera((4, 8), latitudes=(0.5, -0.5)) -> latitudes: Argument
-EquirectangularCamera((4, 8), latitudes=(0, 2)) -> latitudes: Argument
-EquirectangularCamera((4, 8), longitudes=(0, 7)) -> longitudes: Argument
-EquirectangularCamera((4, 8), longitudes=3) -> latitudes, longitudes: Argument
-# sphere: padding
-make_seamless(torch.nn.Sequential(torch.nn.ReLU(), torch.nn.ConvTranspose2d(1, 1, 3))) -> module: Argument
-make_seamless(torch.nn.Upsample(scale_factor=2, mode='bilinear')) -> module: Argument
-# icosphere
-Icosphere(1.5) -> level: Argument
-Icosphere(True) -> level: Argument
-TriangleLocator(-1) -> level: Argument
-TriangleLocator(11) -> level: Argument
-# sweep
-inverse_depth_hypotheses(2.5, 0.5) -> num_hypotheses: Argument
-inverse_depth_hypotheses(8, 5e-324) -> min_depth: Argument
-inverse_depth_hypotheses(8, 1e10) -> min_depth: Argument
-semi_global_sweep(IMAGES[:, :2], ring_rig(2), 8, 0.5, small_penalty=5.0) -> small_penalty, large_penalty: Argument
-semi_global_sweep(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, seen=torch.ones(3, 642) > 0) -> seen: Shape
-sweep()(torch.zeros(3, 4, 2, 162), CameraRig.stack([rig(), rig()])) -> rig: Shape
-PanoramaSweep((4, 8), 4, 0.5)(torch.zeros(1, 4, 3, 24, 24), rig()) -> features: Shape
-PanoramaSweep((4, 8), 4, 0.5)(torch.zeros(1, 3, 3, 12, 12), rig()) -> features: Shape
-PanoramaSweep((4, 8), 4, 0.5)(torch.zeros(3, 4, 3, 12, 12), CameraRig.stack([rig(), rig()])) -> rig: Shape
-PanoramaSweep((4, 8), 4, 0.5).tables(rig().resized({'cam1': (10, 10)})) -> rig: Argument
-photo_consistency_share(torch.zeros(2, 642), torch.zeros(1, 4, 3, 10242), rig(), 9, 0.5) -> sphere_images: Shape
-sweep()(torch.zeros(1, 4, 5, 162), SphereSweep(3, 8, 0.5).tables(rig())) -> rig: Shape
-sweep()(torch.zeros(1, 4, 5, 162), SphereSweep(2, 9, 0.5).tables(rig())) -> rig: Shape
-semi_global_sweep(IMAGES, semi_global_tables(rig(), 8, 0.5, 2), 8, 0.5, seen=SEEN) -> rig: Shape
-photo_consistency_share(torch.zeros(1, 42), IMAGES, semi_global_tables(rig(), 9, 0.5, 2), 9, 0.5, SEEN) -> rig: Shape
-semi_global_sweep(IMAGES, rig(), 8, 0.5, seen=SEEN.byte()) -> seen: Argument
-photo_consistency(IMAGES, rig(), 8, 0.5, seen=SEEN.float()) -> seen: Argument
-semi_global_sweep(IMAGES.byte(), rig(), 8, 0.5) -> sphere_images: Argument
-photo_consistency(IMAGES.byte(), rig(), 8, 0.5) -> sphere_images: Argument
-PanoramaSweep((4, 8), 4, 0.5).tables_for(VIEWS, PanoramaSweep((8, 16), 4, 0.5).tables(rig())) -> rig: Shape
-# models
-IcoSweepNet(3, aggregation='median') -> aggregation: Argument
-IcoSweepNet(30) -> level: Argument
-IcoSweepNet(1) -> level: Argument
-IcoSweepNet(3, 1) -> num_hypotheses: Argument
-IcoSweepNet(3, min_depth=-1.0) -> min_depth: Argument
-IcoSweepNet(3, num_cameras=0) -> num_cameras: Argument
-net()(torch.zeros(1, 4, 3, 2562), ring_rig(3)) -> features: Shape
-OmniMVS(output_size=(160, 600)) -> output_size: Argument
-OmniMVS(output_size=(33, 64)) -> output_size: Argument
-OmniMVS(output_size=(64, 64)) -> height, width: Argument
-OmniMVS(15) -> num_hypotheses: Argument
-OmniMVS(8, in_channels=2) -> in_channels: Argument
-OmniMVS(8, aggregation='sum') -> aggregation: Argument
-OmniMVS(8, norm='layer') -> norm: Argument
-OmniMVS(8, num_scales=0) -> feature_channels, num_scales: Argument
-# metrics
-evaluation_mask(rig(), DIRECTIONS, torch.zeros(1, 1), least_cameras=0) -> least_cameras: Argument
-evaluation_mask(rig(), DIRECTIONS, torch.zeros(1, 1), torch.ones(2, 1)) -> valid: Shape
-OmniMVSError().update(torch.zeros(1, 8, 16), torch.zeros(1, 8, 16), weights=torch.ones(128)) -> weights: Argument
-ByRegion(DepthIndexError(8), {'seam': torch.ones(3)}).update(torch.zeros(1, 4), torch.zeros(1, 4)) -> prediction: Shape
-SolidAngleIoU(ico(), 2).update(LABELS, LABELS + 7) -> target: Argument
-# data
-RandomYaw(Icosphere(1), kinds={'flow': 'vectors'}) -> kinds['flow']: Argument
-RandomYaw(Icosphere(1))({'image': torch.rand(2, 3, 42), 'depth': torch.rand(42)}) -> depth: Shape
-RotateFisheye(mode='depth') -> mode: Argument
-RotateFisheye(rotation=torch.eye(4)) -> rotation: Shape
-# scenes
-World(rig(), kind='street') -> kind: Argument
-WorldSamples(World(rig()), SampleView(1), range(0)) -> seeds: Argument
-WorldSamples(World(rig()), SampleView(1), range(-1, 1)) -> seeds: Argument
-WorldSamples(World(rig()), SampleView(1), range(10_000_000, 10_000_001)) -> seeds: Argument
-SampleView(-1) -> level: Argument
-World(rig(), min_depth=0.0) -> min_depth: Argument
-WorldSamples(World(ring_rig(4, 1.2)), SampleView(1), range(1)) -> rig: Argument
-World(rig(), tilts=(0.4, 0.1)) -> tilts: Argument
-World(rig(), tilts=(-0.3, 0.8), carrier='pole') -> tilts: Argument
-SampleView() -> view: Argument
-SampleView(panorama=(10, 30)) -> panorama: Shape
-WorldSamples(World(rig().resized({'cam1': (20, 20)})), SampleView(images=True), range(1))[0] -> images: Shape
-render_camera(make_scene(), camera(), torch.eye(4), samples_per_pixel=0) -> samples_per_pixel: Argument
-# cameras: what models are made of
-UnifiedCamera(F, C, 1.0, [0.0] * 3, SIZE) -> distortion: Argument
-ExtendedUnifiedCamera(F, C, 1.5, 1.0, SIZE) -> alpha: Argument
-ExtendedUnifiedCamera(F, C, 0.5, 0.0, SIZE) -> beta: Argument
-AtanCamera(F, C, 3.2, SIZE) -> omega: Argument
-ThinPrismFisheyeCamera(F, C, [0.0] * 6, [0.0] * 2, [0.0] * 4, SIZE, composition='both') -> composition: Argument
-ThinPrismFisheyeCamera(F, C, [0.0] * 6, [0.0] * 2, [0.0] * 2, SIZE) -> thin_prism: Shape
-OCamCamera([100.0, 0.0, 1e-3], None, C, [1, 0, 0], SIZE, 1.0) -> polynomial: Argument
-OCamCamera([-9.0, 0.0, 0.01], None, C, [1, 1, 1], SIZE, 1.0) -> affine: Argument
-OCamCamera([-9.0, 0.0, 0.01], None, C, [1, 0, 0], SIZE, 110) -> max_angle: Argument
-RadialPolynomialCamera([-1.0, 2.0], C, 1.0, SIZE) -> polynomial: Argument
-RadialPolynomialCamera([9.0], C, 0.0, SIZE) -> aspect_ratio: Argument
-BrownConradyCamera(F, C, [0.0] * 6, SIZE) -> distortion: Argument
-FisheyeCamera.from_field_of_view(SIZE, 3.84, 'orthographic') -> field_of_view: Argument
-PinholeCamera(torch.ones(3, 2), torch.ones(2, 2), SIZE) -> intrinsics: Shape
-FisheyeCamera.stack([camera()] * 3).project(torch.zeros(2, 7, 3)) -> points or pixels: Shape
-# cameras: rig, remap
-rig().project(DIRECTIONS[0]) -> points: Shape
-rig().points_seen(torch.ones(2, 2, 3), torch.zeros(1)) -> directions: Shape
-rig().points_seen(DIRECTIONS, torch.zeros(2, 5)) -> inverse_depths: Shape
-rig().points_seen(DIRECTIONS, torch.tensor([1.0, -1.0])) -> inverse_depths: Argument
-remap(torch.zeros(3, 40, 32), camera(), camera()) -> image: Shape
-Remap(camera(), camera())(IMAGE[0]) -> image: Shape
-remap(IMAGE, camera(), camera(), mask=torch.ones(60, 80)) -> mask: Shape
-remap(IMAGE, camera(), camera(), torch.eye(4)) -> rotation: Shape
-remap(BYTES, camera(), camera(), mode='nearest', fill=-1) -> fill: Argument
-remap(IMAGE, camera(), camera(), mode='bicubic', mask=torch.ones(SIZE)) -> mask: Argument
-# sphere: sizes
-Equirectangular(10**7, 2 * 10**7) -> height, width: Argument
-Equirectangular.with_square_pixels(10**6, 10**7) -> height, width: Argument
-Cubemap(10**6) -> size: Argument
-Healpix(2**20) -> nside: Argument
-TangentImages(3, 10**6) -> base_level, size: Argument
-TangentImages(40, 8) -> level: Argument
-# pictures, crowns, captures
-depth_panorama(torch.ones(1, 4, 8), 0.5) -> depth: Shape
-rgb_panorama(rig(), {}, 16) -> images: Argument
-rgb_panorama(rig(), pictures(torch.zeros(3, 24, 24)), 16, torch.ones(8, 16)) -> depth: Shape
-save_point_cloud('x.ply', torch.zeros(4, 3), torch.zeros(5, 3)) -> colors: Shape
-save_point_cloud('x.ply', torch.tensor([[NAN, 0.0, 0.0]]), torch.zeros(1, 3)) -> points: Argument
-from_crown(Crown(crown().row, crown().col)) -> crown: Shape
-from_crown(Crown(crown().col, crown().row.expand(2, -1, -1, -1, -1))) -> crown: Shape
 calibrate_photometry(rig(), {'cam1': IMAGE}) -> images: Argument
 calibrate_photometry(rig(), pictures(torch.zeros(3, 24, 24)), depth=-1) -> depth: Argument
 calibrate_photometry(rig(), pictures(torch.zeros(3, 8, 8))) -> images['cam1']: Shape
 find_own_body(rig(), [{'cam1': torch.zeros(3, 24, 24)}]) -> frames: Argument
 find_own_body(rig(), [pictures(torch.zeros(3, 8, 8))]) -> frames['cam1']: Shape
 find_own_body(rig(), [], margin=-1) -> margin: Argument
-# models, data, metrics, scenes
-RomniStereo(16, output_size=(15, 64)) -> output_size: Argument
-RomniStereo(14) -> num_hypotheses: Argument
-RomniStereo(17) -> num_hypotheses: Argument
-RomniStereo(16, iterations=0) -> feature_channels, iterations: Argument
-RomniStereo(16, in_channels=2) -> in_channels: Argument
-collate_samples([{'images': {'a': IMAGE}}, {'images': {'a': IMAGE[:, 1:]}}]) -> images.a: Shape
-left_right_error(torch.ones(2, 3), torch.ones(2, 3)) -> pred: Shape
-# sphere, geometry, icosphere, pictures
-ring_from_nested(torch.ones(2), 4) -> ids: Argument
-nested_from_ring(torch.ones(2).bool(), 4) -> ids: Argument
-views(torch.zeros(3, 24, 48)).merge(quantity='range') -> quantity: Argument
-views(torch.zeros(1, 24, 48)).merge(quantity='depth') -> quantity: Argument
-views(torch.zeros(1, 24, 48), layout='dodecahedron') -> layout: Argument
-Views([torch.zeros(3, 24, 24)] * 2, rig()) -> images: Argument
-Views.of_pairs(rectified_pairs(rig()), [torch.zeros(24, 24)]) -> disparities: Argument
-Views([torch.zeros(1, 24, 24)] * 4, rig()).merge(center=rig().center) -> center: Argument
-bilinear_sample(IMAGE, torch.zeros(2, 2), padding='wrap') -> padding: Argument
-level_from_num_vertices(43) -> number of vertices: Shape
-depth_to_color(torch.ones(2), 2.0, 1.0) -> min_depth, max_depth: Argument
-depth_to_color(torch.ones(2), NAN, 1.0) -> min_depth, max_depth: Argument
-depth_to_color(torch.ones(2), 0.0, math.inf) -> min_depth, max_depth: Argument
-rig_picture(CameraRig.stack([rig(), rig()])) -> rig: Argument
-coverage_panorama(CameraRig.stack([rig(), rig()])) -> rig: Argument
-# data
-RandomYaw(ico())({'images': VALUES, 'panorama_valid': torch.ones(4, 8), 'rig': rig()}) -> sample: Argument
-RandomSphereRotation(ico())({'images': VALUES, 'panorama_valid': SEEN, 'rig': rig()}) -> sample: Argument
-RotateFisheye()({'images': VALUES, 'rig': rig()}) -> RotateFisheye: Argument
-RotateFisheye()({'images': {'cam1': IMAGE}, 'rig': rig()}) -> images: Argument
-RandomShift()({'images': VALUES, 'rig': rig()}) -> RandomShift: Argument
-RotateFivefold(steps=1)({'panorama_valid': torch.ones(8, 16), 'rig': rig()}) -> panorama_valid: Argument
-truth_from_points(torch.ones(4), ico()) -> points: Shape
-truth_from_points(torch.full((3, 3), NAN), ico()) -> points: Argument
-truth_from_points(torch.ones(3, 3), ico(), gap=-1.0) -> gap: Argument
-# cameras: poses, images of a rig, rectified pairs
-CameraRig([camera()] * 4, EYES.repeat(3, 1, 1)) -> world_from_camera: Shape
-sample_sphere(rig(), [torch.zeros(3, 24, 24)] * 3, DIRECTIONS) -> images: Argument
-sample_sphere(rig(), {'a': IMAGE, 'b': IMAGE}, DIRECTIONS) -> images: Argument
-sample_sphere(rig(), [torch.zeros(3, 12, 24)] * 4, DIRECTIONS) -> images['cam1']: Shape
-rectified_pairs(rig(), pairs=[('cam1', 'left')]) -> cameras: Argument
-rectified_pairs(at_once(), pairs=[('cam1', 'cam2')]) -> pairs: Argument
-rectified_pairs(at_once()) -> rig: Argument
-rectified_pairs(rig().subset([0])) -> rig: Argument
-rectified_pairs(CameraRig([pinhole()] * 2, ring_rig(2).world_from_camera), pairs=[('cam1', 'cam2')]) -> pairs: Argument
-rectified_pairs(CameraRig.stack([rig(), rig()])) -> rig: Argument
-rectified_pairs(rig())[0].distance(torch.zeros(4, 4)) -> disparity: Shape
-rectified_pairs(rig())[0].distance(torch.zeros(rectified_pairs(rig())[0].image_size), 'cam9') -> of: Argument
-rectified_pairs(rig())[0].rectify({'cam1': IMAGE}) -> images: Argument
-# capture: a predictor, turns of cameras
-sees(blank() | {'left': IMAGE}) -> images: Argument
-sees(blank() | {'cam3': torch.zeros(1, 3, 24, 24)}) -> images: Shape
-sees(pictures(torch.zeros(24, 24, dtype=torch.int64))) -> images['cam1']: Argument
-Predictor(rig().subset([0, 1, 2]), net()) -> rig: Argument
 align_rig_direct(rig().subset([0]), {'cam1': torch.zeros(3, 24, 24)}, DIRECTIONS, torch.ones(1)) -> rig: Argument
 align_rig_direct(rig(), {'cam1': IMAGE}, DIRECTIONS, torch.ones(1)) -> images: Argument
 align_rig_direct(rig(), blank(), DIRECTIONS, torch.ones(7)) -> inverse_depth: Shape
@@ -743,11 +643,6 @@ align_rig_direct(rig(), blank(), DIRECTIONS, torch.ones(2, 1)) -> images['cam1']
 align_rig_direct(rig(), blank(), DIRECTIONS, torch.ones(1), iterations=0) -> iterations: Argument
 align_rig_direct(rig(), blank(), DIRECTIONS[None], torch.ones(1)) -> directions: Shape
 align_rig_direct(at_once(), blank(), DIRECTIONS, torch.ones(1)) -> rig: Argument
-sees(blank()).camera('cam9') -> camera: Argument
-sees(blank()).camera('cam2', torch.eye(4)) -> world_from_camera: Argument
-sees(blank()).camera(camera(), 1000 * torch.eye(4)) -> world_from_camera: Argument
-sees(blank()).camera(camera(), torch.eye(4)[:3]) -> world_from_camera: Shape
-# capture: hints
 Hint.of_points(torch.zeros(5, 3)) -> hint: Argument
 Hint.of_points(torch.full((5, 3), NAN)) -> hint: Argument
 Hint.of_points(torch.zeros(0, 3)) -> hint: Argument
@@ -770,8 +665,6 @@ Hint.of_depth(torch.ones(5), torch.eye(4)) -> depth: ArgumentType
 Hint.of_depth(sees(blank()), torch.eye(3)) -> pose: Shape
 Hint.of_depth(sees(blank()), 2 * torch.eye(4)) -> pose: Argument
 Hint.of_depth(sees(blank()), torch.eye(4).roll(1)) -> pose: Argument
-predictor()(blank(), POINTS) -> hint: Argument
-# capture: boards
 refine(camera(), BOARD, torch.ones(2, 6, 2), fixed=('f',)) -> fixed: Argument
 refine(camera(), BOARD[:5], torch.ones(2, 5, 2)) -> pixels: Argument
 refine(camera(), BOARD, torch.ones(2, 5, 2)) -> pixels: Shape

@@ -243,9 +243,9 @@ def test_texture_lookup_at_texel_centres_and_over_everything(generator: torch.Ge
     number = torch.full((100,), bank.names.index("coffee.png"))
     column, row = torch.randint(0, bank.size, (2, 100), generator=generator)
     uv = (torch.stack([column, row], -1) + 0.5) / bank.size
-    fine = bank.sample(number, uv, torch.zeros(100))
+    fine = bank.columns(number, *uv.T, torch.zeros(100)).T
     torch.testing.assert_close(fine, image[:, row, column].T, rtol=0, atol=0.005)
-    coarse = bank.sample(number, uv, torch.full((100,), 5.0))
+    coarse = bank.columns(number, *uv.T, torch.full((100,), 5.0)).T
     torch.testing.assert_close(coarse, image.mean((1, 2)).expand(100, 3), rtol=0, atol=0.005)
 
 
@@ -263,7 +263,7 @@ def test_texture_lookup_is_trilinear_between_mirrored_texels(generator: torch.Ge
         start = number * sum(s * s for s in levels) + sum(s * s for s in levels[:level])
         return (bank.texels[start + row * side + column, :3].double() / 255) ** 2
 
-    for k, seen in enumerate(bank.sample(texture, uv, footprint)):
+    for k, seen in enumerate(bank.columns(texture, *uv.T, footprint).T):
         exact = min(max(math.log2(footprint[k].item() * bank.size), 0.0), bank.num_levels - 1.0)
         expected = torch.zeros(3, dtype=torch.float64)
         for level in {math.floor(exact), math.ceil(exact)}:

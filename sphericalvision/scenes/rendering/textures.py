@@ -257,22 +257,15 @@ class TextureBank:
     def num_levels(self) -> int:
         return self.size.bit_length()
 
-    def sample(self, texture: Tensor, uv: Tensor, footprint: Tensor) -> Tensor:
-        """Trilinear look-up, mirrored beyond [0, 1].
+    def columns(self, texture: Tensor, across: Tensor, down: Tensor, footprint: Tensor) -> Tensor:
+        """Trilinear look-up, mirrored beyond [0, 1]: ``(3, n)`` linear intensities.
 
         Args:
             texture: ``(n,)`` texture numbers.
-            uv: ``(n, 2)`` across and down, 1 is the texture's side.
+            across: ``(n,)``, 1 is the texture's side.
+            down: as `across`.
             footprint: ``(n,)`` width to average over, in texture sides.
-
-        Returns:
-            ``(n, 3)`` linear intensities.
         """
-        across, down = uv.T
-        return self.columns(texture, across, down, footprint).T
-
-    def columns(self, texture: Tensor, across: Tensor, down: Tensor, footprint: Tensor) -> Tensor:
-        """As `sample`, by coordinate: ``(n,)`` each to ``(3, n)``."""
         level = (footprint * self.size).clamp(min=1).log2_().clamp_(max=self.num_levels - 1)
         fine = level.floor()
         blend = level.sub_(fine)

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from sphericalvision.core import ArgumentError, ShapeError, check_counts, check_dtype
 from sphericalvision.kernels import Operator
 from sphericalvision.shapes import check_shapes
-from sphericalvision.sphere.fast import conv_in_rows, read_pixels
+from sphericalvision.sphere.fast.door import conv_in_rows, read_pixels
 
 __all__ = ["SphereConv2d", "sphere_conv2d", "sphere_taps"]
 

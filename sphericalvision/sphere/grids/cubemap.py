@@ -18,7 +18,7 @@ from sphericalvision.geometry.directions import (
 )
 from sphericalvision.sphere.grids.cube_layouts import CUBE_FACES, world_from_cube_face
 from sphericalvision.sphere.grids.cube_padding import faces_continued
-from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels
+from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels, tile_samples
 from sphericalvision.sphere.grids.sphere_grid import GridModule, check_cells, check_values
 
 __all__ = ["Cubemap"]
@@ -87,15 +87,8 @@ class Cubemap(GridModule):
         """Directions ``(6 * size**2, samples**2, 3)`` spread over each pixel, and their shares of its solid angle."""
         count = self.size * samples
         tangent = (2 * torch.arange(count, dtype=torch.float64, device=device) + 1 - count) / count
-        side = tangent.view(-1, samples)
-        x, y = side[:, None], side[:, None, :, None]
-        lengths = (x * x + y * y + 1).sqrt()  # of rows, columns, and rows and columns in a pixel
-        face = from_components(x / lengths, y / lengths, 1 / lengths).view(-1, 3)
-        rays = face @ world_from_cube_face(torch.float64, device).mT
-        solid = (lengths**-3).view(-1, samples**2)  # a step in the plane is so much of solid angle
-        weights = (solid / solid.sum(-1, keepdim=True)).repeat(6, 1)
-        dtype = dtype or self.directions.dtype
-        return rays.view(-1, samples**2, 3).to(dtype), weights.to(dtype)
+        frames = world_from_cube_face(torch.float64, device)
+        return tile_samples(tangent.view(-1, samples), frames, dtype or self.directions.dtype)
 
     def face_coordinates(
         self, directions: Float[Tensor, "*batch 3"]

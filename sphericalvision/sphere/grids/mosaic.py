@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import math
 
+import torch
 from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 from torch.nn import functional as F
 
-__all__ = ["mosaic", "mosaic_pixels"]
+from sphericalvision.geometry.directions import from_components
+
+__all__ = ["mosaic", "mosaic_pixels", "tile_samples"]
 
 
 def mosaic(tiles: Shaped[Tensor, "*batch n s s"]) -> Shaped[Tensor, "*batch _ _"]:
@@ -45,6 +48,25 @@ def mosaic_pixels(
     columns = _columns(count)
     corners = [(side * (index % columns), side * (index // columns)) for index in range(count)]
     return pixels + pixels.new_tensor(corners)[tile]
+
+
+def tile_samples(
+    side: Float[Tensor, "s samples"], frames: Float[Tensor, "n 3 3"], dtype: torch.dtype
+) -> tuple[Float[Tensor, "P k 3"], Float[Tensor, "#P k"]]:
+    """Directions ``(n * s * s, samples**2, 3)`` spread over the pixels of tiles that touch the sphere, and their shares
+    of each pixel's solid angle.
+
+    Args:
+        side: places in each pixel of a row, in the plane z = 1, and in each of a column.
+        frames: columns are the right, down and forward axes of each tile.
+        dtype: of both results.
+    """
+    x, y = side[:, None], side[:, None, :, None]
+    lengths = (x * x + y * y + 1).sqrt()  # of rows, columns, and rows and columns in a pixel
+    rays = from_components(x / lengths, y / lengths, 1 / lengths).view(-1, 3) @ frames.mT
+    solid = (lengths**-3).flatten(2).flatten(0, 1)  # a step in the plane is so much of solid angle
+    shares = (solid / solid.sum(-1, keepdim=True)).repeat(len(frames), 1)
+    return rays.view(-1, solid.shape[1], 3).to(dtype), shares.to(dtype)
 
 
 def _columns(count: int) -> int:

@@ -10,11 +10,11 @@ from torch import Tensor
 
 from sphericalvision.cameras import PinholeCamera
 from sphericalvision.core import ArgumentError, check_counts, check_last_dim
-from sphericalvision.geometry.directions import check_directions, from_components, moderate_lengths
+from sphericalvision.geometry.directions import check_directions, moderate_lengths
 from sphericalvision.icosphere import icosphere_faces, icosphere_vertices, locate, num_icosphere_vertices
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.kernels import full_precision
-from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels
+from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels, tile_samples
 from sphericalvision.sphere.grids.sphere_grid import GridModule, check_cells, check_values
 
 __all__ = ["TangentImages", "solid_angles_in_triangle"]
@@ -117,14 +117,7 @@ class TangentImages(GridModule):
     ) -> tuple[Float[Tensor, "P k 3"], Float[Tensor, "#P k"]]:
         """Directions ``(n, samples**2, 3)`` spread over each whole pixel, and their shares of its solid angle."""
         side = self._side(self.size * samples, device).view(-1, samples)
-        x, y = side[:, None], side[:, None, :, None]
-        lengths = (x * x + y * y + 1).sqrt()  # of rows, columns, and rows and columns in a pixel
-        patch = from_components(x / lengths, y / lengths, 1 / lengths).view(-1, 3)
-        rays = (patch @ _frames(self.base_level, device).mT).view(-1, samples**2, 3)
-        solid = (lengths**-3).view(-1, samples**2)  # a step in the plane is so much of solid angle
-        weights = (solid / solid.sum(-1, keepdim=True)).repeat(self.num_patches, 1)
-        dtype = dtype or self.directions.dtype
-        return rays.to(dtype), weights.to(dtype)
+        return tile_samples(side, _frames(self.base_level, device), dtype or self.directions.dtype)
 
     @full_precision
     def face_coordinates(

@@ -138,6 +138,7 @@ FisheyeCamera.from_field_of_view(SIZE, '220') -> field_of_view: ArgumentType
 FisheyeCamera.stack([]) -> cameras: Argument
 FisheyeCamera.from_field_of_view(SIZE, 3.84, 'orthographic') -> field_of_view: Argument
 FisheyeCamera.stack([camera()] * 3).project(torch.zeros(2, 7, 3)) -> points or pixels: Shape
+FisheyeCamera('equidistant', [5.0, 6.0], torch.ones(2, 2), SIZE) -> focal_length: Argument
 camera().project(INTEGERS) -> points: Argument
 camera().project(POINTS) -> points: ArgumentType
 camera().project([[0.0, 0.0, 1.0]]) -> points: ArgumentType
@@ -156,14 +157,33 @@ camera().cropped(0.5, 0, 4, 4) -> cropped: ArgumentType
 camera().cropped(0, 0, 400, 4) -> cropped: Argument
 camera().to(torch.float16) -> dtype: Argument
 camera().select(0) -> index: Argument
+camera().cropped(-1, 0, 10, 10) -> cropped: Argument
+camera().cropped(0, 30, 10, 11) -> cropped: Argument
 undistorted_camera(camera(), (1.0, 1.0)) -> field_of_view: ArgumentType
 undistorted_camera('camera') -> camera: ArgumentType
+undistorted_camera(camera(), 1.0, 40.0) -> field_of_view, focal_length, balance: Argument
+undistorted_camera(camera(), balance=1.5) -> balance: Argument
+undistorted_camera(camera(), 3.5) -> field_of_view: Argument
+undistorted_camera(camera(), focal_length=-3.0) -> focal_length: Argument
 perspective_views(torch.zeros(3, 32, 40), [(0, 0, 0)]) -> image: Shape
+perspective_views(torch.rand(3, 32, 64), [(90, 0, 0)]) -> views: Argument
+perspective_views(torch.rand(3, 32, 64), [(0.0, 0.0)]) -> views: Shape
+perspective_views(torch.rand(3, 32, 64), [(0, 0, 0)], 3.2) -> field_of_view: Argument
 convert(camera(), to='fishy') -> to: Argument
 convert(camera(), to=int) -> to: Argument
+convert(camera(), EquirectangularCamera) -> to: Argument
+convert(EquirectangularCamera((32, 64)), 'ocam') -> to: Argument
+convert(camera(), 'brown_conrady', num_coefficients=6) -> num_coefficients: Argument
+convert(camera(), 'double_sphere', num_coefficients=2) -> num_coefficients: Argument
+convert(camera(), 'ocam', projection='equidistant') -> projection: Argument
+convert(camera(), 'pinhole', max_angle=1.6) -> max_angle: Argument
+convert(camera(), 'ocam', max_angle=80) -> max_angle: Argument
+convert(FisheyeCamera.stack([camera()] * 2), 'ocam') -> camera: Argument
+convert(camera().cropped(0, 0, 2, 2), 'pinhole') -> camera: Argument
 project_pinhole(DIRECTIONS, [1.0, 1.0], torch.ones(2)) -> focal_length: ArgumentType
 project_fisheye(POINTS, torch.ones(2), torch.ones(2), 'equidistant') -> points: ArgumentType
 depth_from_z(np.zeros(SIZE), camera()) -> z: ArgumentType
+depth_from_z(torch.ones(3, 4), camera()) -> z: Shape
 points_from_depth(torch.ones(SIZE).long(), camera()) -> depth: Argument
 field_of_view(3) -> camera: ArgumentType
 undistort(IMAGE[0], camera(), 1.0) -> image: Shape
@@ -177,7 +197,9 @@ rectified_pairs(CameraRig.stack([rig(), rig()])) -> rig: Argument
 rectified_pairs(rig())[0].distance(torch.zeros(4, 4)) -> disparity: Shape
 rectified_pairs(rig())[0].distance(torch.zeros(rectified_pairs(rig())[0].image_size), 'cam9') -> of: Argument
 rectified_pairs(rig())[0].rectify({'cam1': IMAGE}) -> images: Argument
+rectified_pairs(rig())[0].rectify(list(blank().values())) -> images: Argument
 compare_cameras(camera(), camera().resized((16, 20))) -> second: Argument
+compare_cameras(camera(), camera(), [0, 40, 80]) -> angles: Argument
 read_camera(3) -> path: ArgumentType
 save_camera(3, 'x.yaml') -> camera: ArgumentType
 CameraRig([], torch.zeros(0, 4, 4)) -> cameras: Argument
@@ -201,6 +223,7 @@ rig().points_seen(torch.ones(2, 2, 3), torch.zeros(1)) -> directions: Shape
 rig().points_seen(DIRECTIONS, torch.zeros(2, 5)) -> inverse_depths: Shape
 rig().points_seen(DIRECTIONS, torch.tensor([1.0, -1.0])) -> inverse_depths: Argument
 CameraRig([camera()] * 4, EYES.repeat(3, 1, 1)) -> world_from_camera: Shape
+rig().rotated(tilt=30) -> tilt: Argument
 ring_rig(2.5) -> num_cameras: Argument
 ring_rig(1) -> num_cameras: Argument
 ring_rig(4, radius=0.0) -> radius: Argument
@@ -229,6 +252,9 @@ EquirectangularCamera((4, 8), longitudes=3) -> latitudes, longitudes: Argument
 seen_by(ring_rig(4), torch.tensor([[0.0, -1.0, 0.0]]), torch.zeros(2)) -> inverse_depth: Shape
 seen_by(ring_rig(4), torch.tensor([[0.0, -1.0, 0.0]]), -torch.ones(1)) -> inverse_depth: Argument
 to_kornia(PinholeCamera([500.0, 510.0], [319.5, 239.5], (480, 640), skew=2.5)) -> camera: Argument
+to_kornia(DoubleSphereCamera(F, C, -0.2, 0.6, SIZE)) -> camera: Argument
+to_kornia(KannalaBrandtCamera(F, C, [0.01] * 6, SIZE)) -> camera: Argument
+to_kornia(KannalaBrandtCamera(F, C, [0.01] * 4, SIZE), torch.eye(4)) -> camera: Argument
 overlap(torch.ones(2, 4).int(), torch.ones(3)) -> solid_angles: Shape
 ExtendedUnifiedCamera(F, C, 1.5, 1.0, SIZE) -> alpha: Argument
 ExtendedUnifiedCamera(F, C, 0.5, 0.0, SIZE) -> beta: Argument
@@ -241,6 +267,8 @@ Remap(camera(), camera())(IMAGE[0]) -> image: Shape
 sample_sphere(rig(), [torch.zeros(3, 24, 24)] * 3, DIRECTIONS) -> images: Argument
 sample_sphere(rig(), {'a': IMAGE, 'b': IMAGE}, DIRECTIONS) -> images: Argument
 sample_sphere(rig(), [torch.zeros(3, 12, 24)] * 4, DIRECTIONS) -> images['cam1']: Shape
+fit_inverse_polynomial(OCamCamera([-9.0, 0.0, 0.01], None, C, [1, 0, 0], SIZE), 18) -> degree: Argument
+CameraModule(camera(), fixed=['focus']) -> fixed: Argument
 # geometry
 bilinear_sample(ARRAY, torch.zeros(5, 2)) -> image: ArgumentType
 bilinear_sample(IMAGE, torch.zeros(5, 2).long()) -> pixels: Argument
@@ -300,6 +328,7 @@ resample(torch.zeros(32, 40, 3), camera(), ico()) -> values: Shape
 resample(IMAGE, camera(), ico(), mask=np.ones(SIZE)) -> mask: ArgumentType
 resample(VALUES, ico(), Equirectangular(4, 8), mode='cubic') -> mode: Argument
 resample(torch.zeros(1, 6, 4, 4), Cubemap(4), ico(), mask=torch.ones(4, 4)) -> mask: Shape
+resample(IMAGE, camera(), ico(), mask=torch.ones(4, 4)) -> mask: Shape
 Equirectangular(4.5, 8) -> height: Argument
 Equirectangular(8, 16).sample(np.zeros((3, 8, 16)), DIRECTIONS) -> values: ArgumentType
 Equirectangular(8, 16).sample(torch.zeros(3, 8, 16), INTEGERS) -> directions: Argument
@@ -577,6 +606,7 @@ World(rig(), kind='street') -> kind: Argument
 World(rig(), min_depth=0.0) -> min_depth: Argument
 World(rig(), tilts=(0.4, 0.1)) -> tilts: Argument
 World(rig(), tilts=(-0.3, 0.8), carrier='pole') -> tilts: Argument
+World(rig(), kind={'forest': 1.0}) -> shares: Argument
 WorldSamples(World(rig()), SampleView(1), range(0)) -> seeds: Argument
 WorldSamples(World(rig()), SampleView(1), range(-1, 1)) -> seeds: Argument
 WorldSamples(World(rig()), SampleView(1), range(10_000_000, 10_000_001)) -> seeds: Argument

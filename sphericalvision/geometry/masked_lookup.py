@@ -11,7 +11,7 @@ from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry.directions import in_single_precision
 from sphericalvision.geometry.lookup import Lookup, PlacesInSinglePrecision
 
-__all__ = ["LookupModule", "MaskedLookup"]
+__all__ = ["LookupModule", "MaskedLookup", "check_mask"]
 
 _TOUCHED = 1e-3  # the least share of usable values in what a result is made of
 
@@ -129,10 +129,7 @@ class MaskedLookup(PlacesInSinglePrecision):
         return torch.where(valid, 0.0, self.fill)
 
     def _checked(self, mask: Tensor) -> Tensor:
-        dims = len(self.source_shape)
-        if mask.ndim < dims or tuple(mask.shape[mask.ndim - dims :]) != self.source_shape:
-            size = ", ".join(map(str, self.source_shape))
-            raise ShapeError(f"mask: expected shape (*b, {size}) as the source, got {tuple(mask.shape)}")
+        check_mask(mask, self.source_shape)
         if self.mode == "bicubic":
             raise ArgumentError(
                 "mask: a bicubic kernel has negative weights; use 'bilinear' or 'area' with a mask"
@@ -146,6 +143,13 @@ class MaskedLookup(PlacesInSinglePrecision):
         least, most = (0, 1) if info is None else (info.min, info.max)
         if not (least <= self.fill <= most and self.fill == int(self.fill)):
             raise ArgumentError(f"fill: expected a value that {values.dtype} can hold, got {self.fill}")
+
+
+def check_mask(mask: Shaped[Tensor, " ..."], source_shape: tuple[int, ...]) -> None:
+    """Raise ``ShapeError`` unless a mask lies on the source ``(*b, *source_shape)``."""
+    if tuple(mask.shape[max(0, mask.ndim - len(source_shape)) :]) != source_shape:
+        size = ", ".join(map(str, source_shape))
+        raise ShapeError(f"mask: expected shape (*b, {size}) as the source, got {tuple(mask.shape)}")
 
 
 class LookupModule(nn.Module):

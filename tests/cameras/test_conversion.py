@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
 
 import pytest
 import torch
@@ -15,7 +13,6 @@ from sphericalvision.cameras import (
     Camera,
     CameraRig,
     DoubleSphereCamera,
-    EquirectangularCamera,
     ExtendedUnifiedCamera,
     FisheyeCamera,
     KannalaBrandtCamera,
@@ -23,11 +20,8 @@ from sphericalvision.cameras import (
     PinholeCamera,
     RadialPolynomialCamera,
     UnifiedCamera,
-    compare_cameras,
     convert,
     fit_inverse_polynomial,
-    perspective_views,
-    ring_rig,
     straighten,
     straighten_rig,
 )
@@ -172,6 +166,7 @@ def test_the_error_told_is_the_error_made(to: type[Camera]) -> None:
     made = gap(lens, camera, points)
     if isinstance(camera, OCamCamera):  # both polynomials count
         made = torch.maximum(made, gap(lens, camera.exact(), points))
+        assert camera.polynomial[0] < 0 == camera.polynomial[1]
     assert double(camera).project(points).valid.float().mean() > 0.9, (
         "but for pixels that move out at the border"
     )
@@ -195,17 +190,6 @@ def test_ocam_of_220_degrees_as_kannala_brandt() -> None:
     assert math.degrees(conversion.covered_angle) == pytest.approx(110)
 
 
-def test_both_polynomials_of_an_ocam_camera_are_the_lens() -> None:
-    lens = wide_lens()
-    ocam, largest, _, _ = convert(lens, to=OCamCamera)
-    assert isinstance(ocam, OCamCamera)
-    points = unseen_directions(lens, lens.max_angle)
-    assert gap(lens, ocam, points).max() <= 1.05 * largest
-    assert gap(lens, ocam.exact(), points).max() <= 1.05 * largest
-    assert ocam.polynomial[1] == 0
-    assert ocam.polynomial[0] < 0
-
-
 @pytest.mark.parametrize(("down", "skew"), [(125.0, 0.0), (250.0, 150.0), (200.0, -120.0)])
 def test_an_ocam_camera_has_the_axes_of_pixels_that_are_no_squares(down: float, skew: float) -> None:
     lens = KannalaBrandtCamera(
@@ -215,23 +199,6 @@ def test_an_ocam_camera_has_the_axes_of_pixels_that_are_no_squares(down: float, 
     assert largest < 0.002
     expected = torch.tensor([down / 250, 0, skew / 250], dtype=torch.float64)
     torch.testing.assert_close(ocam.affine, expected, atol=1e-6, rtol=0)
-
-
-WIDE = FisheyeCamera.from_field_of_view((64, 64), 3.0)
-
-
-@pytest.mark.parametrize(
-    ("name", "call"),
-    [
-        ("max_angle", lambda: convert(WIDE, KannalaBrandtCamera, max_angle=80)),
-        ("angles", lambda: compare_cameras(WIDE, WIDE, [0, 40, 80])),
-        ("views", lambda: perspective_views(torch.rand(3, 32, 64), [(90, 0, 0)])),
-        ("tilt", lambda: ring_rig(4).rotated(tilt=30)),
-    ],
-)
-def test_degrees_are_refused(name: str, call: Callable[[], Any]) -> None:
-    with pytest.raises(ArgumentError, match=rf"{name}: expected radians .* are these degrees\?"):
-        call()
 
 
 def test_a_model_that_reaches_but_a_spot_is_refused() -> None:
@@ -333,8 +300,6 @@ def test_more_coefficients_fit_better() -> None:
     assert residuals == sorted(residuals, reverse=True)
     fitted, _ = fit_inverse_polynomial(real_ocam(), 6)
     assert len(fitted.inverse_polynomial) == 7
-    with pytest.raises(ArgumentError, match="1 to 17"):
-        fit_inverse_polynomial(real_ocam(), 18)
     lens = wide_lens()
     errors = [convert(lens, to="radial_polynomial", num_coefficients=n).max_error for n in (2, 4, 7)]
     assert errors == sorted(errors, reverse=True)
@@ -360,28 +325,3 @@ def test_dtype_follows_the_camera() -> None:
     conversion = convert(lens, to=KannalaBrandtCamera)
     assert conversion.camera.dtype == torch.float32
     assert conversion.max_error < 0.02
-
-
-REFUSED: dict[str, tuple[Callable[[], object], str]] = {
-    "unknown class": (lambda: convert(wide_lens(), to=Camera), "PinholeCamera"),
-    "unknown name": (lambda: convert(wide_lens(), to="kanala_brandt"), "kannala_brandt"),
-    "panorama": (lambda: convert(wide_lens(), to=EquirectangularCamera), "reproject"),
-    "from a panorama": (lambda: convert(EquirectangularCamera((32, 64)), to="ocam"), "remap"),
-    "coefficients": (lambda: convert(wide_lens(), to="brown_conrady", num_coefficients=6), "4, 5, 8, 12, 14"),
-    "no choice": (lambda: convert(wide_lens(), to="double_sphere", num_coefficients=2), "num_coefficients"),
-    "projection": (lambda: convert(wide_lens(), to="ocam", projection="equidistant"), "FisheyeCamera"),
-    "past 90°": (lambda: convert(wide_lens(), to="pinhole", max_angle=1.6), "before 90°"),
-    "no angle": (lambda: convert(wide_lens(), to="ocam", max_angle=0.0), "max_angle"),
-    "batch": (lambda: convert(type(wide_lens()).stack([wide_lens()] * 2), to="ocam"), "select"),
-    "looks backwards": (
-        lambda: convert(wide_lens().cropped(0, 0, 40, 40), to=PinholeCamera),
-        "nothing is left|sees nothing",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_impossible_wishes_are_refused(name: str) -> None:
-    wish, message = REFUSED[name]
-    with pytest.raises(ArgumentError, match=message):
-        wish()

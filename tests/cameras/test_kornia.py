@@ -15,7 +15,6 @@ from sphericalvision.cameras import (
     BrownConradyCamera,
     Camera,
     CameraModule,
-    DoubleSphereCamera,
     EquirectangularCamera,
     KannalaBrandtCamera,
     PinholeCamera,
@@ -27,7 +26,7 @@ from sphericalvision.cameras import (
     to_kornia,
 )
 from sphericalvision.capture import refine
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import transform_from_axis_angle, transform_points
 from tests.laws.cameras import MODELS
 
@@ -69,15 +68,7 @@ def test_pinholes_with_poses() -> None:
     assert from_kornia(to_kornia(batch, pose)).batch_shape == (2,)
 
 
-def test_what_kornia_does_not_have_is_refused() -> None:
-    sphere = DoubleSphereCamera([100.0, 100.0], [49.5, 49.5], -0.2, 0.6, (100, 100), 1.5)
-    with pytest.raises(ArgumentError, match=r"Kornia has pinhole.*convert\(camera"):
-        to_kornia(sphere)
-    with pytest.raises(ArgumentError, match="with a pose are pinholes"):
-        to_kornia(LENSES[2], torch.eye(4))
-    six = KannalaBrandtCamera([300.0, 310.0], [319.5, 239.5], [0.01] * 6, SIZE, 1.2)
-    with pytest.raises(ArgumentError, match="KANNALA_BRANDT_K3 has 4 coefficients"):
-        to_kornia(six)
+def test_a_camera_of_kornias_that_is_not_ours_is_refused() -> None:
     flat = CameraModel(
         ImageSize(480, 640), CameraModelType.ORTHOGRAPHIC, torch.tensor([328.0, 328.0, 320.0, 240.0])
     )
@@ -103,8 +94,6 @@ def test_intrinsics_are_learned_saved_and_moved(name: str) -> None:
     assert module.to(torch.float64).camera.dtype == torch.float64
     fixed = CameraModule(camera, fixed=["principal_point"])
     assert "principal_point" not in dict(fixed.named_parameters())
-    with pytest.raises(ArgumentError, match="fixed: this camera has"):
-        CameraModule(camera, fixed=["focus"])
 
 
 def test_a_module_and_refine_agree() -> None:
@@ -157,7 +146,3 @@ def test_views_look_where_they_are_told() -> None:
     across, down = (torch.atan2(wide[axis], wide[2]) for axis in (0, 1))
     assert across[20, -1].item() == pytest.approx(math.atan(60 / 61 * math.tan(0.6)), abs=2e-3)
     assert down[-1, 30].item() == pytest.approx(math.atan(40 / 41 * math.tan(0.4)), abs=2e-3)
-    with pytest.raises(ShapeError, match=r"views: expected \(n, 3\)"):
-        perspective_views(panorama, [(0.0, 0.0)])
-    with pytest.raises(ArgumentError, match=r"field_of_view: expected radians in \(0, π\)"):
-        perspective_views(panorama, angles, 3.2)

@@ -17,7 +17,6 @@ from sphericalvision.cameras import (
     project_kannala_brandt,
     unproject_kannala_brandt,
 )
-from sphericalvision.core import ArgumentError
 from tests.cameras.calibration_samples import double
 
 FOCAL, CENTER, SIZE = [190.97, 188.3], [254.93, 256.9], (512, 512)
@@ -40,8 +39,6 @@ def test_one_focal_length_for_each_camera_or_for_each_direction() -> None:
     assert same.batch_shape == pair.batch_shape == (2,)
     points = torch.tensor([0.3, 0.2, 1.0]).expand(2, 1, 3)
     torch.testing.assert_close(same.project(points).pixels, pair.project(points).pixels)
-    with pytest.raises(ArgumentError, match=r"write \(2, 1\) or \(1, 2\)"):
-        FisheyeCamera("equidistant", torch.tensor([50.0, 60.0]), centers, (100, 100), 1.0)
     each = FisheyeCamera("equidistant", torch.tensor([50.0, 60.0, 70.0]), [10.0, 20.0], (100, 100), 1.0)
     assert each.batch_shape == (3,)
     assert each.select(1).focal_length.tolist() == [60.0]
@@ -58,8 +55,6 @@ def test_convention_half_precision_is_computed_in_float32(dtype: torch.dtype) ->
     assert valid.all()
     directions = unproject_kannala_brandt(pixels.to(dtype), *lens).directions
     assert directions.dtype == torch.float32
-    with pytest.raises(ArgumentError, match="points: expected floating point"):
-        project_kannala_brandt(torch.tensor([[0, 0, 1]]), *lens)
 
 
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])

@@ -26,7 +26,6 @@ from sphericalvision.cameras import (
     z_from_depth,
 )
 from sphericalvision.cameras.remapping.remap import REMAP_MODES
-from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry import transform_from_axis_angle
 
 FISHEYE = FisheyeCamera.from_field_of_view((72, 96), math.radians(200)).to(torch.float64)
@@ -362,7 +361,6 @@ def test_infinite_depth_stays_infinite() -> None:
 
 
 def test_depth_along_rays_and_along_the_axis() -> None:
-    points = torch.tensor([[0.5, 0.2, 2.0], [-0.3, 0.1, 1.0]], dtype=torch.float64)
     z = torch.full((60, 80), 2.0, dtype=torch.float64)
     depth, valid = depth_from_z(z, PINHOLE)
     assert valid.all()
@@ -373,9 +371,6 @@ def test_depth_along_rays_and_along_the_axis() -> None:
     _, ahead = depth_from_z(torch.ones(72, 96), FISHEYE)
     _, seen = z_from_depth(torch.ones(72, 96), FISHEYE)
     assert seen.sum() > ahead.sum() > 0  # a 200° lens sees past 90°, where z says nothing
-    assert points.norm(dim=-1).all()
-    with pytest.raises(ShapeError, match="z: this camera's images are 60 x 80"):
-        depth_from_z(torch.ones(3, 4), PINHOLE)
 
 
 @pytest.mark.parametrize("mode", ["bilinear", "area", "nearest", "depth"])
@@ -437,10 +432,6 @@ def test_undistort_keeps_the_scale_of_the_middle() -> None:
     batch = FisheyeCamera.stack([FISHEYE, FISHEYE])
     assert undistort(noise(2, 1, 72, 96), batch, focal_length=40.0).shape == (2, 1, 72, 96)
     assert remap_mask(batch, undistorted_camera(batch, focal_length=40.0)).all()
-    with pytest.raises(ArgumentError, match="give one of them"):
-        undistorted_camera(FISHEYE, 1.0, 40.0)
-    with pytest.raises(ArgumentError, match=r"balance: expected 0 .* to 1"):
-        undistorted_camera(FISHEYE, balance=1.5)
 
 
 @pytest.mark.parametrize("size", [(72, 96), (120, 60)])
@@ -470,10 +461,6 @@ def test_balance_goes_from_all_valid_to_all_kept(size: tuple[int, int], view: in
     torch.testing.assert_close(
         undistort(image, lens, balance=0.5, image_size=size), remap(image, lens, middle)
     )
-    with pytest.raises(ArgumentError, match=r"field_of_view: expected radians in \(0, π\)"):
-        undistorted_camera(FISHEYE, math.radians(200))
-    with pytest.raises(ArgumentError, match="focal_length: expected positive"):
-        undistorted_camera(FISHEYE, focal_length=-3.0)
 
 
 # Derivatives, devices, compilers --------------------------------------------------------------------------------------
@@ -537,6 +524,3 @@ def test_module_compiles_to_one_graph(mode: str) -> None:
     compiled = torch.compile(module, fullgraph=True, backend="aot_eager")
     image = torch.rand(2, 3, 32, 64)
     torch.testing.assert_close(compiled(image), module(image))
-
-
-# Errors ---------------------------------------------------------------------------------------------------------------

@@ -24,7 +24,7 @@ from sphericalvision.cameras.remapping.lookup import image_edges, nearest_pixel
 from sphericalvision.core import check_choice, check_tensor, check_type
 from sphericalvision.geometry.image_lookup import image_lookup
 from sphericalvision.geometry.lookup import Lookup, PlacesInSinglePrecision
-from sphericalvision.geometry.masked_lookup import MaskedLookup
+from sphericalvision.geometry.masked_lookup import MaskedLookup, check_mask
 from sphericalvision.sphere.grids.equirectangular import Equirectangular
 from sphericalvision.sphere.grids.sphere_grid import SphereGrid
 from sphericalvision.sphere.resampling.supersampling import cell_samples, cell_widths, grid_shape
@@ -79,6 +79,8 @@ def resample_tables(
         lookup = group_lookup(groups[0]) if alone else PyramidLookup(groups, group_lookup)
     else:
         lookup = make_lookup(source, middles.directions, middles.shares)
+    if usable is not None:
+        check_mask(usable, source_shape)
     if isinstance(source, Camera):
         seen = source.unproject(source.pixel_grid(dtype).to(device)).valid
         usable = seen if usable is None else usable * seen

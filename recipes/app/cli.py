@@ -64,20 +64,19 @@ def build(config: Any, where: str = "", **kwargs: Any) -> Any:
         cause = error.__cause__
         if isinstance(cause, (SphericalVisionError, OSError)):
             raise cause from None
-        if isinstance(cause, ModuleNotFoundError):
-            raise ArgumentError(f"{where}: {_missing_package(where, cause)}") from error
+        if isinstance(
+            cause, ModuleNotFoundError
+        ):  # of an extra of this package, if one has the name of the node
+            name = where.rpartition(".")[2]
+            extras = metadata("sphericalvision").get_all("Provides-Extra") or []
+            command = f"'sphericalvision[{name}]'" if name in extras else cause.name or "the package it names"
+            raise ArgumentError(
+                f"{where}: needs what is not installed ({str(cause).splitlines()[0]}): pip install {command}"
+            ) from error
         if isinstance(cause, (ValueError, TypeError)) or type(cause).__name__ == "MisconfigurationException":
             target = str(config.get("_target_")).rpartition(".")[2]
             raise ArgumentError(f"{where}: {target} refuses these values: {cause}") from error
         raise
-
-
-def _missing_package(where: str, error: ModuleNotFoundError) -> str:
-    """Say what to install: an extra of this package, if one has the name of the node."""
-    name = where.rpartition(".")[2]
-    extras = metadata("sphericalvision").get_all("Provides-Extra") or []
-    command = f"'sphericalvision[{name}]'" if name in extras else error.name or "the package it names"
-    return f"needs what is not installed ({str(error).splitlines()[0]}): pip install {command}"
 
 
 def print_config(config: Any, folder: Path | None = None) -> None:

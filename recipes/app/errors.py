@@ -14,13 +14,11 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from hydra import compose
-from hydra.core.global_hydra import GlobalHydra
-from hydra.core.object_type import ObjectType
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
-from sphericalvision.recipes.app.help import keys_of
+from sphericalvision.recipes.app.help import keys_of, options_of
 
 __all__ = ["FAILURE", "override_message", "plain_errors", "refuse", "report_failure", "several_processes"]
 
@@ -114,7 +112,7 @@ def _unknown_key(key: str, command: str, words: Sequence[str]) -> str:
     group, dot, _ = key.partition(".")
     owners = [  # options alone: to compose the command with each would take seconds
         f"{group}={option}"
-        for option in (_options(group, command) if group in groups else ())
+        for option in (options_of(group, command) if group in groups else ())
         if key in _keys_with(f"{group}/{option}")
     ]
     if owners or key in keys_of(compose(command)):
@@ -139,12 +137,6 @@ def _keys_with(config_name: str, choices: Sequence[str] = ()) -> Sequence[str]:
         return list(keys_of(compose(config_name, list(choices))))
     except HydraException:
         return []
-
-
-def _options(group: str, command: str) -> list[str]:
-    """Return the options of a group, without those that others only inherit from."""
-    options = GlobalHydra.instance().config_loader().get_group_options(group, ObjectType.CONFIG, command, [])
-    return [option for option in options if not option.startswith("_")]
 
 
 def several_processes(config: DictConfig) -> str | None:

@@ -15,7 +15,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.object_type import ObjectType
 from omegaconf import DictConfig, OmegaConf
 
-__all__ = ["Key", "heading", "keys_of", "print_help", "read_keys", "walk"]
+__all__ = ["Key", "heading", "keys_of", "options_of", "print_help", "read_keys", "walk"]
 
 FLAGS = """
 Flags:
@@ -29,7 +29,7 @@ Flags:
 def print_help(config_name: str, overrides: list[str]) -> None:
     """Print what the command is for, its groups with their options, and its keys as ``overrides`` leave them."""
     config = compose(config_name, overrides, return_hydra_config=True)
-    sources = _Sources(config_name, overrides, config.hydra.searchpath)
+    sources = _Sources(config.hydra.searchpath)
     choices = {g: c for g, c in config.hydra.runtime.choices.items() if not g.startswith("hydra/")}
     comments = sources.comments(config_name, "")
     print("\n".join(heading(sources.text(config_name))))
@@ -37,7 +37,7 @@ def print_help(config_name: str, overrides: list[str]) -> None:
         print("\nGroups (GROUP=OPTION):")
     for group, choice in choices.items():
         name, _, package = group.partition("@")
-        print(f"  {group}={choice}   one of {' | '.join(sources.options(name))}")
+        print(f"  {group}={choice}   one of {' | '.join(options_of(name, config_name, overrides))}")
         if choice is not None:
             own = sources.text(f"{name}/{choice}").startswith("# @package _global_")
             comments = sources.comments(f"{name}/{choice}", package or ("" if own else name)) | comments
@@ -47,6 +47,13 @@ def print_help(config_name: str, overrides: list[str]) -> None:
     for word, comment in rows:
         print(f"  {word:{width}}  # {comment}" if comment else f"  {word}")
     print(FLAGS)
+
+
+def options_of(group: str, config_name: str, overrides: Sequence[str] = ()) -> list[str]:
+    """Options of a group of a command, without those that others only inherit from."""
+    loader = GlobalHydra.instance().config_loader()
+    options = loader.get_group_options(group, ObjectType.CONFIG, config_name, list(overrides))
+    return [option for option in options if not option.startswith("_")]
 
 
 class Key(NamedTuple):
@@ -103,28 +110,20 @@ class _Sources:
     """The YAML files behind a configuration, as text.
 
     Args:
-        config_name: of the command.
-        overrides: of the command line.
         search_path: where configs are, in addition to those that Hydra knows from its start.
     """
 
-    def __init__(self, config_name: str, overrides: list[str], search_path: Sequence[str]) -> None:
-        self.config_name, self.overrides = config_name, overrides
-        self.loader: Any = GlobalHydra.instance().config_loader()
-        paths = [element.path or "" for element in self.loader.get_search_path().get_path()]
-        self.places = [*paths, *search_path]
-
-    def options(self, group: str) -> list[str]:
-        """Names of the files of a group, without those that others only inherit from."""
-        options = self.loader.get_group_options(group, ObjectType.CONFIG, self.config_name, self.overrides)
-        return [option for option in options if not option.startswith("_")]
+    def __init__(self, search_path: Sequence[str]) -> None:
+        loader: Any = GlobalHydra.instance().config_loader()
+        paths = [element.path or "" for element in loader.get_search_path().get_path()]
+        self.search_path = [*paths, *search_path]
 
     def text(self, name: str) -> str:
         """The text of the file ``name``, wherever the search path has it; empty if nowhere."""
-        for element in self.places:
-            scheme, _, place = element.partition("://")
-            if scheme in ("file", "pkg") and not place.startswith("hydra"):
-                path: Any = (Path(place) if scheme == "file" else files(place)) / f"{name}.yaml"
+        for element in self.search_path:
+            scheme, _, folder = element.partition("://")
+            if scheme in ("file", "pkg") and not folder.startswith("hydra"):
+                path: Any = (Path(folder) if scheme == "file" else files(folder)) / f"{name}.yaml"
                 if path.is_file():
                     return str(path.read_text())
         return ""

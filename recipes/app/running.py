@@ -58,7 +58,6 @@ def run_command(command: Any, words: list[str]) -> None:
             setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 (open until the process ends)
         elif isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # names that the terminal has no letters for
-    words = quote_paths(words)
     line = read_words(words, refuse)
     if line.version:
         with plain_errors():
@@ -70,7 +69,7 @@ def run_command(command: Any, words: list[str]) -> None:
     work = partial(do_work, command, line.config_dir and Path(line.config_dir).absolute())
     if line.cfg or line.info or line.shell_completion:
         Plugins.instance().register(ConfigFolders)
-        sys.argv[1:] = words
+        sys.argv[1:] = quote_paths(words)
         hydra.main(version_base="1.3", config_path=f"pkg://{CONF}", config_name=command.name)(work)()
         return
     with plain_errors(), config_space(line.config_dir) as loader:

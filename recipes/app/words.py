@@ -9,7 +9,6 @@ import os
 import re
 import shlex
 from collections.abc import Callable, Sequence
-from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -90,11 +89,18 @@ def quote_paths(words: list[str]) -> list[str]:
         >>> quote_paths(["images=/data/cam{camera}/{frame:05d}.png", "frames=[1,2]"])
         ["images='/data/cam{camera}/{frame:05d}.png'", 'frames=[1,2]']
     """
-    matches = [re.match(r"^([\w./@]+)=(.+)$", word, re.DOTALL) for word in words]
-    return [
-        _quoted(match[1], os.path.expanduser(match[2])) if match else word
-        for word, match in zip(words, matches, strict=True)
-    ]
+    parser, quoted = OverridesParser.create(), []
+    for text in words:
+        if match := re.match(r"^([\w./@]+)=(.+)$", text, re.DOTALL):
+            key, value = match[1], os.path.expanduser(match[2])
+            try:
+                parser.parse_override(f"{key}={value}").value()
+            except HydraException:
+                escaped = re.sub(r"(\\*)('|$)", lambda end: end[1] * 2 + (r"\'" if end[2] else ""), value)
+                value = f"'{escaped}'"
+            text = f"{key}={value}"
+        quoted.append(text)
+    return quoted
 
 
 def unquote_paths(words: list[str]) -> list[str]:
@@ -104,29 +110,13 @@ def unquote_paths(words: list[str]) -> list[str]:
         >>> unquote_paths(quote_paths(["output={my}"]))
         ['output={my}']
     """
-    return [_unquoted(word) for word in words]
-
-
-def _unquoted(word: str) -> str:
-    match = re.match(r"^([\w./@]+)='(.*)'$", word, re.DOTALL)
-    if match is None:
-        return word
-    return f"{match[1]}=" + re.sub(r"(\\+)('|$)", lambda end: end[1][: len(end[1]) // 2] + end[2], match[2])
-
-
-@lru_cache(maxsize=256)  # words are quoted where a command begins and where it is taken apart
-def _quoted(key: str, value: str) -> str:
-    try:
-        _parser().parse_override(f"{key}={value}").value()
-        return f"{key}={value}"
-    except HydraException:
-        escaped = re.sub(r"(\\*)('|$)", lambda end: end[1] * 2 + (r"\'" if end[2] else ""), value)
-        return f"{key}='{escaped}'"
-
-
-@cache
-def _parser() -> OverridesParser:
-    return OverridesParser.create()
+    plain = []
+    for text in words:
+        if match := re.match(r"^([\w./@]+)='(.*)'$", text, re.DOTALL):
+            value = re.sub(r"(\\+)('|$)", lambda end: end[1][: len(end[1]) // 2] + end[2], match[2])
+            text = f"{match[1]}={value}"
+        plain.append(text)
+    return plain
 
 
 def resume_command(last: Path, max_steps: int | None = None) -> str:

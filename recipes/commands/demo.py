@@ -89,7 +89,10 @@ def demo(config: DemoConfig, folder: Path) -> Table:
     records = evaluate(methods, SampleFrames(lambda _: [collate_samples([sample])], 1), measure)
     title = f"errors of this scene, percent of N = {net.num_hypotheses}; AbsRel, d<1.25 {limit_text('auto')}"
     table = save_errors(folder / "metrics", title, mean_errors_by_method(records))
-    _print_contents(folder)
+    console.print("\nResults:")
+    for name, meaning in CONTENTS.items():
+        console.print(f"  {name:18} {meaning}", highlight=False, soft_wrap=True)
+    print(folder)
     return table
 
 
@@ -127,10 +130,3 @@ CONTENTS = {
     "depth.npz": "arrays: index, depth, inverse_depth, directions, ...",
     "metrics.md": "the table above (also .json and .csv)",
 }
-
-
-def _print_contents(folder: Path) -> None:
-    console.print("\nResults:")
-    for name, meaning in CONTENTS.items():
-        console.print(f"  {name:18} {meaning}", highlight=False, soft_wrap=True)
-    print(folder)

@@ -378,9 +378,9 @@ def output_settings(config: PredictConfig, source: Source) -> Settings:
 def write_settings(settings: Mapping[str, Any], predictor: Predictor, folder: Path) -> None:
     """Print the settings, and keep them in the folder."""
     print_config(OmegaConf.create(dict(settings)), folder)
-    near = "found in the first frame" if predictor.min_depth is None else f"{predictor.min_depth:.3f} m"
+    nearest = "found in the first frame" if predictor.min_depth is None else f"{predictor.min_depth:.3f} m"
     weights = f", weights {settings['checkpoint'] or DEFAULT}" if settings["method"] == "network" else ""
-    console.print(f"nearest hypothesis {near}{weights}")
+    console.print(f"nearest hypothesis {nearest}{weights}")
 
 
 def run(

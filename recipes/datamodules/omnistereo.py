@@ -155,12 +155,12 @@ class SkipDamaged(Dataset[Sample]):
 
     def left_out(self) -> str | None:
         """A sentence about the samples that could not be read so far; None if all could."""
-        places = self.damaged.nonzero()[:, 0].tolist()
-        if not places:
+        damaged = self.damaged.nonzero()[:, 0].tolist()
+        if not damaged:
             return None
         return (
-            f"{len(places)} of {len(self)} frames were left out (data.on_error=skip). "
-            f"The first: {self._reason(places[0])}"
+            f"{len(damaged)} of {len(self)} frames were left out (data.on_error=skip). "
+            f"The first: {self._reason(damaged[0])}"
         )
 
     def _reason(self, place: int) -> str:

@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import torch
-from annotated_types import Ge, MinLen
+from annotated_types import MinLen
 from joblib import Parallel, delayed
 from pydantic.dataclasses import dataclass
 
 from sphericalvision.capture.estimating import threads_kept
-from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.core import FileFormatError
 from sphericalvision.io.images import write_image
 from sphericalvision.recipes.app.checks import flat
@@ -44,16 +43,12 @@ class BenchmarkConfig:
     """Keys of ``conf/benchmark.yaml``."""
 
     output: Text
-    preparation: Preparation
+    size: Size
     methods: Annotated[list[str], MinLen(1)]
     tracks: list[str]
     frames: Count
     first_frame: Number
     meshes: list[str]
-    level: Annotated[int, Ge(3)]
-    panorama_rows: Annotated[int, Ge(2)]
-    image_rows: Annotated[int, Ge(8)]
-    samples_per_pixel: Count
     max_depth_m: Positive | Literal["auto"]
     cache_dir: Text | None
     panel_height: Count
@@ -79,9 +74,7 @@ BY_TRACK: dict[str, tuple[str, str, int]] = {
 def benchmark(config: BenchmarkConfig, folder: Path) -> Results:
     """Measure what is missing, write tables and pictures; returns the results."""
     print_config(config, folder)
-    size = Size(
-        config.level, config.panorama_rows, config.image_rows, config.samples_per_pixel, config.preparation
-    )
+    size = config.size
     numbers = range(config.first_frame, config.first_frame + config.frames)
     cache = None if config.cache_dir is None else Path(config.cache_dir).absolute()
     words, tracks = tuple(config.methods), chosen_tracks(config.tracks, config.meshes)

@@ -108,11 +108,15 @@ class Protocols:
         zones |= {"two": mask & (truth.cameras == 2), "three": mask & (truth.cameras == 3)}
         zones |= {"four": mask & (truth.cameras > 3)}
         depth, true_depth = depth_from_index(index, *self.scale), truth.inverse_depth.reciprocal()
+        shape = truth.panorama.shape
+        around, around_valid = answer.index_at(truth.panorama_directions, self.scale)
+        panorama = inverse_depth_from_index(around, *self.scale).view(shape)
+        panorama_mask = truth.panorama_counts & around_valid.view(shape)
         return {
             "paper": depth_index_error(index, truth.indices, number, mask),
             "all": depth_index_error(index, truth.indices, number, truth.valid & valid),
             "solid_angle": depth_index_error(index, truth.indices, number, mask, self.solid_angles),
-            "omnimvs": self._official(answer, truth),
+            "omnimvs": omnimvs_error(panorama, truth.panorama, self.scale.min_depth, panorama_mask),
             "seam": depth_index_error(index, truth.indices, number, mask & self.seam),
             "off_seam": depth_index_error(index, truth.indices, number, mask & ~self.seam),
             **{name: depth_index_error(index, truth.indices, number, zone) for name, zone in zones.items()},
@@ -122,10 +126,3 @@ class Protocols:
                 "unknown": 100 * (1 - mask.sum(1) / truth.counts.sum(1)),
             },
         }
-
-    def _official(self, answer: Answer, truth: Truth) -> dict[str, Tensor]:
-        index, valid = answer.index_at(truth.panorama_directions, self.scale)
-        inverse_depth = inverse_depth_from_index(index, *self.scale)
-        shape = truth.panorama.shape
-        mask = truth.panorama_counts & valid.view(shape)
-        return omnimvs_error(inverse_depth.view(shape), truth.panorama, self.scale.min_depth, mask)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -28,22 +28,18 @@ COLUMNS = (("depth", "MAE", "m"), ("depth", "RMSE", "m"), ("depth", "MARE", "1")
 MORE = (("disparity", "MAE", "°"), ("disparity", "RMSE", "°"), ("disparity", "MARE", "°/°"))
 
 
-class _Truth(NamedTuple):
-    at_vertices: Any
-    batch: Batch
-
-
 class StripErrors(VertexErrors):
     """Errors at the vertices, and those of Helvipad along the rays of its bottom camera, the first of the rig."""
 
     def truth(self, batch: Batch) -> Any:
-        """As of ``VertexErrors``, and the maps of depth."""
-        return _Truth(super().truth(batch), batch)
+        """As of ``VertexErrors``, and the batch with the maps of depth."""
+        return super().truth(batch), batch
 
     def errors(self, answer: Answer, truth: Any) -> dict[str, Any]:
         """``errors`` and ``points`` as of ``VertexErrors``; ``depth`` in metres and ``disparity`` in degrees."""
-        errors = super().errors(answer, truth.at_vertices)
-        rig, depth, augmented = (truth.batch[key] for key in ("rig", "strip_depth", "strip_depth_augmented"))
+        at_vertices, batch = truth
+        errors = super().errors(answer, at_vertices)
+        rig, depth, augmented = (batch[key] for key in ("rig", "strip_depth", "strip_depth_augmented"))
         height, width = depth.shape[-2:]
         grid = Equirectangular(height, width, latitudes=HELVIPAD_LATITUDES, device=depth.device)
         estimate = torch.zeros_like(depth)

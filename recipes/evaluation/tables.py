@@ -131,8 +131,8 @@ class Table(NamedTuple):
     def html(self) -> str:
         """A paragraph with the title, and the table."""
         lines = [f"<th>{'</th><th>'.join(map(html.escape, self.columns))}</th>"]
-        lines += [f"<td>{'</td><td>'.join(map(_escape_html, row))}</td>" for row in self.texts()]
-        body = "\n".join(f"<tr>{line}</tr>" for line in lines)
+        lines += [f"<td>{'</td><td>'.join(map(html.escape, row))}</td>" for row in self.texts()]
+        body = re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", "\n".join(f"<tr>{line}</tr>" for line in lines))
         return f"<p>{html.escape(self.title)}</p>\n<table>{body}</table>"
 
     @classmethod
@@ -239,10 +239,6 @@ def summarize(values: Iterable[float | None], digits: int = 2) -> Cell | None:
     return Cell(
         statistics.fmean(numbers), statistics.stdev(numbers) if len(set(numbers)) > 1 else None, digits
     )
-
-
-def _escape_html(text: str) -> str:
-    return re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", html.escape(text))
 
 
 def _escape_latex(text: str) -> str:

@@ -7,8 +7,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
+from annotated_types import Ge
+from pydantic.dataclasses import dataclass
 from torch import Tensor
 
 from sphericalvision import __version__
@@ -19,6 +21,7 @@ from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparatio
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork, pretrained
 from sphericalvision.models.weights.files import identity_of
+from sphericalvision.recipes.app.kinds import STRICT, Count
 from sphericalvision.recipes.evaluation.tracks import Track
 from sphericalvision.scenes import render_directions
 from sphericalvision.scenes.cache import ArrayCache
@@ -26,14 +29,14 @@ from sphericalvision.scenes.meshes import mesh_files
 from sphericalvision.scenes.world import NATURAL_MIN_DEPTH, World, WorldFrame, rendered
 from sphericalvision.sphere import Equirectangular
 
-__all__ = ["NATURAL_SIZE", "Size", "TrackFrame", "TrackFrames", "aligner", "render_frame"]
-
+__all__ = ["Size", "TrackFrame", "TrackFrames", "aligner", "render_frame"]
 
 DRAWN = (0, 3, 4)
 """Places among the frames of those that are drawn; where kinds of scenes take turns a corridor, outdoors and a room."""
 
 
-class Size(NamedTuple):
+@dataclass(frozen=True, config=STRICT)
+class Size:
     """How frames are made.
 
     Attributes:
@@ -45,14 +48,11 @@ class Size(NamedTuple):
             by the depth of the network that ships.
     """
 
-    level: int = 6
-    panorama_rows: int = 320
-    image_rows: int = 256
-    samples_per_pixel: int = 2
+    level: Annotated[int, Ge(3)] = 6
+    panorama_rows: Annotated[int, Ge(2)] = 320
+    image_rows: Annotated[int, Ge(8)] = 256
+    samples_per_pixel: Count = 2
     preparation: Preparation = Preparation()
-
-
-NATURAL_SIZE = Size()
 
 
 class TrackFrame(NamedTuple):
@@ -81,9 +81,7 @@ class TrackFrame(NamedTuple):
     shared_rigs: tuple[CameraRig, ...]
 
 
-def render_frame(
-    track: Track, number: int, size: Size = NATURAL_SIZE, cache: Path | None = None
-) -> TrackFrame:
+def render_frame(track: Track, number: int, size: Size, cache: Path | None = None) -> TrackFrame:
     """Make a frame of a track; what cameras see is kept in ``cache``, the rest is soon computed.
 
     Args:
@@ -145,9 +143,8 @@ class TrackFrames:
     @property
     def key(self) -> dict[str, Any]:
         """What the frames depend on: track, size, and the network that turns cameras where one does."""
-        preparation = self.size.preparation
-        key = {"track": repr(self.track), "size": {**self.size._asdict(), "preparation": asdict(preparation)}}
-        return key if preparation == AS_IT_IS else {**key, "aligner": _aligner_identity()}
+        key = {"track": repr(self.track), "size": asdict(self.size)}
+        return key if self.size.preparation == AS_IT_IS else {**key, "aligner": _aligner_identity()}
 
     def frame(self, name: str) -> TrackFrame:
         """Render a frame."""

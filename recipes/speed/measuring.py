@@ -155,20 +155,22 @@ def added_memory(run: Run, device: torch.device) -> float:
     Raises:
         AttributeError, OSError: the system is not Linux.
     """
-    return statistics.median(_added_memory(run, device) for _ in range(3))
-
-
-def _added_memory(run: Run, device: torch.device) -> float:
-    if device.type == "cuda":
-        torch.cuda.reset_peak_memory_stats(device)
-        before = torch.cuda.memory_allocated(device)
-        run()
-        return (torch.cuda.max_memory_allocated(device) - before) / 1e6
-    ctypes.CDLL(None).malloc_trim(0)  # freed memory is given back, and counts when it is allocated again
-    Path("/proc/self/clear_refs").write_text("5")  # a new high-water mark
-    resident = _status("VmRSS")
-    run()
-    return max(0.0, _status("VmHWM") - resident)
+    added = []
+    for _ in range(3):
+        if device.type == "cuda":
+            torch.cuda.reset_peak_memory_stats(device)
+            before = torch.cuda.memory_allocated(device)
+            run()
+            added.append((torch.cuda.max_memory_allocated(device) - before) / 1e6)
+        else:
+            ctypes.CDLL(None).malloc_trim(
+                0
+            )  # freed memory is given back, and counts when it is allocated again
+            Path("/proc/self/clear_refs").write_text("5")  # a new high-water mark
+            resident = _status("VmRSS")
+            run()
+            added.append(max(0.0, _status("VmHWM") - resident))
+    return statistics.median(added)
 
 
 def _status(field: str) -> float:

@@ -106,7 +106,12 @@ def train_all(trainings: Sequence[Training], train_missing: bool, on_change: str
     for seeds in pending.values():
         for words in command_lines(seeds):
             try:
-                run_line(words)
+                if "--multirun" in words:
+                    train.main(words)
+                elif status := subprocess.run(
+                    [sys.executable, "-m", train.__name__, *words], check=False
+                ).returncode:
+                    raise SystemExit(status)
             except (Exception, SystemExit):
                 command = shlex.join(["sphericalvision-train", *words])
                 print(
@@ -132,14 +137,6 @@ def command_lines(seeds: Sequence[Training]) -> list[list[str]]:
     values = ",".join(str(training.seed) for training in seeds)
     folders = [f"output={first.folder.parent}", "hydra.sweep.subdir=seed${seed}", "resume=auto"]
     return [[*own_configs(), "--multirun", *launcher, *first.words[:-1], f"seed={values}", *folders]]
-
-
-def run_line(words: list[str]) -> None:
-    """Run ``sphericalvision-train`` with these words, a multi-run in this process."""
-    if "--multirun" in words:
-        train.main(words)
-    elif status := subprocess.run([sys.executable, "-m", train.__name__, *words], check=False).returncode:
-        raise SystemExit(status)
 
 
 def differences(trainings: Sequence[Training]) -> list[str]:

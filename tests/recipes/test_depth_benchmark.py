@@ -91,7 +91,7 @@ def test_differences_between_cameras_are_compensated_for_all_methods_alike() -> 
     size = Size(level=3, panorama_rows=8, image_rows=96, samples_per_pixel=1, preparation=AS_IT_IS)
     clean, with_faults, without = (
         render_frame(
-            TRACKS[name], 0, size._replace(preparation=replace(AS_IT_IS, photometric=photometric))
+            TRACKS[name], 0, replace(size, preparation=replace(AS_IT_IS, photometric=photometric))
         ).images
         for name, photometric in (("clean", True), ("exposure", False), ("exposure", True))
     )
@@ -156,7 +156,7 @@ def test_another_aligner_changes_all_records(monkeypatch: pytest.MonkeyPatch) ->
         monkeypatch.setattr(track_frames, "aligner", lambda p=penalty: SemiGlobalSweep(3, 4, small_penalty=p))
         for align in (True, False):
             track_frames._aligner_identity.cache_clear()
-            size = TINY._replace(preparation=replace(AS_IT_IS, align=align))
+            size = replace(TINY, preparation=replace(AS_IT_IS, align=align))
             keys.append(TrackFrames(TRACKS["room"], range(1), size, None).key)
     track_frames._aligner_identity.cache_clear()
     assert keys[0] != keys[2]

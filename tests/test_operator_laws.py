@@ -75,9 +75,11 @@ def test_autocast_leaves_its_numbers_alone(name: str) -> None:
 
 
 @names(
-    losses, metrics, sweep,
+    cameras, geometry, icosphere, losses, metrics, sphere, sweep,
     without=f"""{TABLES} angular_error Aggregation Concatenation MeanVariance SphereSweep PanoramaSweep SweepVolume
-    sphere_sweep photo_consistency_share""",
+    sphere_sweep photo_consistency_share CameraRig remap resample views Icosphere IcospherePool icosphere_pool
+    icosphere_normals Healpix SphereConv2d sphere_conv2d make_seamless rotation_from_yaw_pitch_roll
+    transform_from_axis_angle transform_from_quaternion transform_points""",
 )  # fmt: skip
 def test_half_precision_is_computed_in_single(name: str) -> None:
     """Of the numbers as they were rounded, and nothing is rounded again but the result."""

@@ -79,3 +79,20 @@ def recorded_frames(
     return [
         {**recorded_sample(world.frame(number - 1), height), "frame": f"{number:05d}"} for number in numbers
     ]
+
+
+def frames_of_noise(
+    rig: CameraRig, numbers: Iterable[int], height: int = 16, width: int = 32
+) -> list[dict[str, Any]]:
+    """Frames whose inverse depth is between infinity and 0.6 m."""
+    generator = torch.Generator().manual_seed(0)
+    frames = []
+    for number in numbers:
+        images = {
+            name: torch.rand(3, *camera.image_size, generator=generator)
+            for name, camera in rig.cameras.items()
+        }
+        inverse_depth = torch.rand(height, width, generator=generator) / 0.6
+        inverse_depth[0] = 0.0
+        frames.append({"frame": f"{number:05d}", "images": images, "inverse_depth": inverse_depth})
+    return frames

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_last_dim
-from sphericalvision.geometry.directions import holds, moderate_lengths
+from sphericalvision.geometry.directions import holds, in_single_precision, moderate_lengths
 from sphericalvision.icosphere.adjacency import icosphere_neighbors
 from sphericalvision.icosphere.mesh import icosphere_vertices
 from sphericalvision.icosphere.topology import num_icosphere_vertices
@@ -40,6 +40,7 @@ def icosphere_within(
     check_last_dim("directions", directions, 3)
     if not 0 <= angle <= math.pi:
         raise ArgumentError(f"angle: expected 0 to π radians, got {angle!r}")
+    directions = in_single_precision(directions)
     vertices = icosphere_vertices(level, directions.dtype, directions.device)
     unit = F.normalize(moderate_lengths(directions), dim=-1)
     # Chords tell angles apart up to a right angle, where cosines of small ones are all one; beyond, the chord to the

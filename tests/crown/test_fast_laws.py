@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import pytest
@@ -27,9 +26,6 @@ from sphericalvision.crown import (
     HexConv3d,
     ToCrown,
     crown_block3d,
-    crown_conv2d,
-    crown_conv3d,
-    from_crown,
     recompute,
     set_kernel_options,
     to_crown,
@@ -256,43 +252,6 @@ def test_training_keeps_nothing_inside_the_finest_blocks(monkeypatch: pytest.Mon
             features(images)
         kept.append(sizes)
     assert kept[0] == kept[1]
-
-
-@needs_compiler
-def test_any_number_of_threads_has_the_same_gradients() -> None:
-    """Each thread sums up its part of the gradient of a weight."""
-    layer = HexConv3d(5, 6).double()
-    values = torch.randn(2, 5, 6, V2, dtype=torch.float64)
-    before, found = torch.get_num_threads(), []
-    try:
-        for threads in (1, 3):
-            torch.set_num_threads(threads)
-            with kernels("require"):
-                found.append(torch.autograd.grad(layer(values).square().sum(), layer.weight)[0])
-    finally:
-        torch.set_num_threads(before)
-    torch.testing.assert_close(*found, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.parametrize("stride", [1, 2])
-@pytest.mark.parametrize("way", ["reference", *WAYS])
-def test_convolutions_are_differentiable_twice(stride: int, way: str) -> None:
-    """By finite differences; and inputs that nothing depends on have no gradient, all others have one."""
-    values = torch.randn(1, 1, V1, dtype=torch.float64, requires_grad=True)
-    volume = torch.randn(1, 1, 2, V1, dtype=torch.float64, requires_grad=True)
-    weight, weight3d = (torch.randn(1, 1, t, dtype=torch.float64, requires_grad=True) for t in (7, 21))
-
-    def convolve(function: Any, values: Tensor, weight: Tensor) -> Tensor:
-        return from_crown(function(to_crown(values), weight, None, stride)).square()
-
-    with kernels(way):
-        for function, inputs in ((crown_conv2d, (values, weight)), (crown_conv3d, (volume, weight3d))):
-            run = partial(convolve, function)
-            assert torch.autograd.gradcheck(run, inputs, fast_mode=True)
-            assert torch.autograd.gradgradcheck(run, inputs, fast_mode=True)
-            (first,) = torch.autograd.grad(run(*inputs).sum(), inputs[0], create_graph=True)
-            second = torch.autograd.grad(first.square().sum(), inputs, allow_unused=True)
-            assert all(gradient is not None and gradient.abs().max() > 0 for gradient in second)
 
 
 @by_each_way

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from sphericalvision.crown import (
     CrownConv2d,
+    CrownConv3d,
     HexConv2d,
     HexConv3d,
     crown_conv2d,
@@ -250,9 +251,12 @@ def test_autocast_casts_as_it_does_other_convolutions(way: str, stride: int, ori
 
 def test_modules() -> None:
     layer = HexConv2d(3, 5, stride=2, bias=True)
-    assert layer.weight.shape == (5, 3, 7)
+    for planar, volume in ((HexConv2d, HexConv3d), (CrownConv2d, CrownConv3d)):
+        assert planar(3, 5).weight.shape == (5, 3, 7)
+        assert volume(3, 5).weight.shape == (5, 3, 21)
+        assert list(planar(3, 5).state_dict()) == ["weight"]
+        assert planar(3, 500).weight.abs().max().item() == pytest.approx((3 * 7) ** -0.5, rel=0.01)
     assert list(layer.state_dict()) == ["weight", "bias"]
-    assert HexConv3d(3, 5).weight.shape == (5, 3, 21)
     aligned = HexConv2d(3, 5, stride=2, bias=True, orientation="north", level=2)
     aligned.load_state_dict(layer.state_dict())  # tables are no state
     values = torch.rand(1, 3, 162)
@@ -260,5 +264,3 @@ def test_modules() -> None:
         aligned(values), hex_conv2d(values, layer.weight, layer.bias, 2, north_fraction(2))
     )
     CrownConv2d(3, 5, bias=True).load_state_dict(layer.state_dict())
-    bound = (3 * 7) ** -0.5
-    assert HexConv2d(3, 500).weight.abs().max().item() == pytest.approx(bound, rel=0.01)

@@ -3,18 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import torch
 
+from sphericalvision.cameras import ring_rig
 from sphericalvision.data.collate import collate_samples
 
-Make = Callable[..., Any]
 
-
-def test_each_sample_keeps_its_own_rig_in_the_batch(make_rig: Make) -> None:
-    rigs = [make_rig(0.2), make_rig(0.3)]
+def test_each_sample_keeps_its_own_rig_in_the_batch() -> None:
+    rigs = [ring_rig(radius=radius, image_size=(8, 8)) for radius in (0.2, 0.3)]
     samples = [
         {"images": torch.full((4, 3, 42), float(k)), "rig": rig, "frame": str(k)}
         for k, rig in enumerate(rigs)

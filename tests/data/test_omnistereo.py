@@ -17,13 +17,13 @@ import torch
 import yaml
 from torch.utils.data import DataLoader
 
-from sphericalvision.cameras import CameraRig, read_rig
+from sphericalvision.cameras import CameraRig, read_rig, ring_rig
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, ShapeError
 from sphericalvision.data import OmniStereoDataset, collate_samples, write_omnistereo
 from sphericalvision.data.omnistereo import writer
+from tests.worlds import frames_of_noise
 
 Sample = dict[str, Any]
-Make = Callable[..., Any]
 Frames = Callable[..., list[Sample]]
 
 
@@ -49,11 +49,9 @@ def test_what_is_written_is_read(
 
 
 @pytest.mark.parametrize("release", ["png", "tiff"])
-def test_the_rig_is_read_back(
-    tmp_path: Path, release: str, generator: torch.Generator, make_rig: Make, make_frames: Make
-) -> None:
-    rig = make_rig(radius=0.3, num_cameras=3)
-    write_omnistereo(tmp_path, make_frames(rig, [1]), rig, release)
+def test_the_rig_is_read_back(tmp_path: Path, release: str, generator: torch.Generator) -> None:
+    rig = ring_rig(3, 0.3, (50, 48))
+    write_omnistereo(tmp_path, frames_of_noise(rig, [1]), rig, release)
     again = OmniStereoDataset(tmp_path, split="all").rig
     torch.testing.assert_close(
         again.world_from_camera.double(), rig.world_from_camera.double(), rtol=0, atol=1e-6
@@ -179,13 +177,13 @@ def test_the_other_scale_in_config_yaml_is_refused(tmp_path: Path, rig: CameraRi
 
 
 def test_writing_into_the_other_release_or_a_mixture_is_refused(
-    tmp_path: Path, rig: CameraRig, frames: Frames, make_rig: Make
+    tmp_path: Path, rig: CameraRig, frames: Frames
 ) -> None:
     write_omnistereo(tmp_path, frames(1), rig, "png")
     with pytest.raises(ArgumentError, match="holds a PNG release"):
         write_omnistereo(tmp_path, frames(1), rig, "tiff")
     with pytest.raises(FileFormatError, match="scales do not belong together"):
-        write_omnistereo(tmp_path / "new", frames(1), make_rig(radius=0.6), "png")
+        write_omnistereo(tmp_path / "new", frames(1), ring_rig(4, 0.6, (50, 48)), "png")
 
 
 def test_frames_that_do_not_fit_the_rig_are_refused(tmp_path: Path, rig: CameraRig, frames: Frames) -> None:
@@ -240,7 +238,7 @@ def test_masks_travel_with_the_tiff_release(tmp_path: Path, rig: CameraRig, fram
 
 @pytest.mark.parametrize("release", ["png", "tiff"])
 def test_frames_are_added_to_a_set_of_the_same_rig_only(
-    tmp_path: Path, rig: CameraRig, frames: Frames, make_rig: Make, make_frames: Make, release: str
+    tmp_path: Path, rig: CameraRig, frames: Frames, release: str
 ) -> None:
     write_omnistereo(tmp_path, frames(5), rig, release)
     write_omnistereo(tmp_path, frames(2, 3), rig, release)
@@ -248,7 +246,7 @@ def test_frames_are_added_to_a_set_of_the_same_rig_only(
     if release == "tiff":
         dataset = yaml.safe_load((tmp_path / "config.yaml").read_text())["dataset"]
         assert (dataset["start"], dataset["end"]) == (2, 5)
-    other = make_rig(radius=0.21)
+    other = ring_rig(4, 0.21, (50, 48))
     with pytest.raises(ArgumentError, match=r"differs from the rig or min_depth given.*another folder"):
-        write_omnistereo(tmp_path, make_frames(other, [6]), other, release)
+        write_omnistereo(tmp_path, frames_of_noise(other, [6]), other, release)
     assert OmniStereoDataset(tmp_path, split="all").rig.radius.item() == pytest.approx(0.2)

@@ -4,16 +4,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
-from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.data import Compose, OmniStereoDataset, RotateFisheye, ToSphere, write_omnistereo
 from sphericalvision.scenes import make_scene, render_rig
+from tests.worlds import frames_of_noise
 
 TILT = math.radians(35)
 Sample = dict[str, Any]
@@ -25,8 +25,8 @@ def scene() -> Any:
 
 
 @pytest.fixture
-def sample(scene: Any, make_rig: Callable[..., CameraRig]) -> Sample:
-    rig = make_rig(image_size=(96, 96))
+def sample(scene: Any) -> Sample:
+    rig = ring_rig(image_size=(96, 96))
     return {"images": render_rig(scene, rig, 2), "rig": rig}
 
 
@@ -115,10 +115,8 @@ def test_images_of_another_size(scene: Any, sample: Sample) -> None:
     assert (turned["images"]["cam2"] - expected)[:, mask].abs().mean() < 0.04
 
 
-def test_it_turns_sets_on_disk_before_the_icosphere(
-    tmp_path: Path, rig: CameraRig, make_frames: Callable[..., list[Sample]]
-) -> None:
-    write_omnistereo(tmp_path, make_frames(rig, [1, 2]), rig)
+def test_it_turns_sets_on_disk_before_the_icosphere(tmp_path: Path, rig: CameraRig) -> None:
+    write_omnistereo(tmp_path, frames_of_noise(rig, [1, 2]), rig)
     turn = RotateFisheye(tilt=TILT)
     data = OmniStereoDataset(tmp_path, split="all", transform=Compose(turn, ToSphere(3)))
     first, second = data[0], data[1]

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 import pickle
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,30 +13,24 @@ import numpy as np
 import pytest
 import torch
 
-from sphericalvision.cameras import CameraRig, EquirectangularCamera, read_rig, sample_sphere
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.cameras import CameraRig, EquirectangularCamera, read_rig, ring_rig, sample_sphere
 from sphericalvision.data.augmentation.photometric import PhotometricAugmentation
-from sphericalvision.data.augmentation.transforms import Compose, RandomShift, ToSphere
+from sphericalvision.data.augmentation.transforms import RandomShift, ToSphere
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Equirectangular
+from tests.worlds import frames_of_noise
 
 Sample = dict[str, Any]
-Make = Callable[..., Any]
 
 
-@pytest.fixture
-def with_truth(make_frames: Callable[..., list[Sample]]) -> Callable[..., Sample]:
-    """Function of a rig and the panorama's size: one whole sample."""
-
-    def build(rig: CameraRig, **size: int) -> Sample:
-        sample = make_frames(rig, [1], **size)[0]
-        known = torch.ones_like(sample["inverse_depth"], dtype=torch.bool)
-        return {**sample, "valid": known, "rig": rig}
-
-    return build
+def with_truth(rig: CameraRig, **size: int) -> Sample:
+    """One whole sample, of a panorama's size."""
+    sample = frames_of_noise(rig, [1], **size)[0]
+    known = torch.ones_like(sample["inverse_depth"], dtype=torch.bool)
+    return {**sample, "valid": known, "rig": rig}
 
 
-def test_images_agree_with_the_rigs_own_lookup(rig: CameraRig, with_truth: Make) -> None:
+def test_images_agree_with_the_rigs_own_lookup(rig: CameraRig) -> None:
     sample = with_truth(rig)
     to_sphere = ToSphere(4)
     values, seen = sample_sphere(rig, sample["images"], Icosphere(4).vertices, fill=0.5)
@@ -83,8 +76,8 @@ def test_convention_images_are_world_aligned(rig: CameraRig) -> None:
     assert ((result[:, 0] - up)[seen]).abs().max() < 0.02
 
 
-def test_another_rig_gets_another_table(make_rig: Make, with_truth: Make) -> None:
-    narrow, wide = make_rig(), make_rig(num_cameras=3)
+def test_another_rig_gets_another_table() -> None:
+    narrow, wide = (ring_rig(number, image_size=(50, 48)) for number in (4, 3))
     to_sphere = ToSphere(3)
     assert to_sphere(with_truth(narrow))["images"].shape[0] == 4
     assert to_sphere(with_truth(wide))["images"].shape[0] == 3
@@ -93,7 +86,7 @@ def test_another_rig_gets_another_table(make_rig: Make, with_truth: Make) -> Non
     assert torch.equal(pickle.loads(pickle.dumps(to_sphere))(with_truth(narrow))["images"], fresh)
 
 
-def test_ground_truth_is_the_nearest_pixel_not_a_mixture(rig: CameraRig, with_truth: Make) -> None:
+def test_ground_truth_is_the_nearest_pixel_not_a_mixture(rig: CameraRig) -> None:
     sample = with_truth(rig, height=32, width=64)
     result = ToSphere(4)(sample)
     pixels = Equirectangular(32, 64).directions.reshape(-1, 3)
@@ -103,14 +96,14 @@ def test_ground_truth_is_the_nearest_pixel_not_a_mixture(rig: CameraRig, with_tr
         assert angle <= math.hypot(2.8125, 2.8125) + 1e-3
 
 
-def test_urban_truth_is_valid_near_the_horizon_only(rig: CameraRig, with_truth: Make) -> None:
+def test_urban_truth_is_valid_near_the_horizon_only(rig: CameraRig) -> None:
     result = ToSphere(5, depth_level=4)(with_truth(rig, height=16, width=64))
     latitude = torch.asin(-Icosphere(4).vertices[:, 1]).rad2deg()
     assert torch.equal(result["valid"], latitude.abs() <= 45)
     assert (result["inverse_depth"][~result["valid"]] == 0).all()
 
 
-def test_unknown_truth_stays_unknown(rig: CameraRig, with_truth: Make) -> None:
+def test_unknown_truth_stays_unknown(rig: CameraRig) -> None:
     sample = with_truth(rig)
     sample["valid"][:8] = False  # the upper half
     result = ToSphere(4)(sample)
@@ -119,7 +112,7 @@ def test_unknown_truth_stays_unknown(rig: CameraRig, with_truth: Make) -> None:
     assert result["valid"][y > 0.2].all()
 
 
-def test_shift_moves_pixels_and_the_rig_stays(rig: CameraRig, with_truth: Make) -> None:
+def test_shift_moves_pixels_and_the_rig_stays(rig: CameraRig) -> None:
     u = torch.arange(48.0).expand(3, 50, 48) / 100
     sample = {**with_truth(rig), "images": dict.fromkeys(rig.names, u)}
     shifts = []
@@ -136,7 +129,7 @@ def test_shift_moves_pixels_and_the_rig_stays(rig: CameraRig, with_truth: Make) 
     torch.testing.assert_close(same, with_truth(rig)["images"]["cam2"], rtol=0, atol=1e-5)
 
 
-def test_the_same_seed_augments_alike(rig: CameraRig, with_truth: Make) -> None:
+def test_the_same_seed_augments_alike(rig: CameraRig) -> None:
     sample = with_truth(rig)
     state = torch.get_rng_state()
 
@@ -165,18 +158,6 @@ def test_cameras_of_different_sizes_are_augmented_pixel_by_pixel() -> None:
     result = augment({"images": {"a": small, "b": large}})["images"]
     assert result["a"].shape == small.shape
     torch.testing.assert_close(result["b"][:, :4, :5], result["a"])
-
-
-def test_wrong_order_and_wrong_images_are_refused(rig: CameraRig, with_truth: Make) -> None:
-    sample = with_truth(rig)
-    with pytest.raises(ArgumentError, match="belongs before ToSphere"):
-        Compose(ToSphere(3), RandomShift())(sample)
-    sample["images"]["cam2"] = torch.zeros(3, 10, 10)
-    with pytest.raises(ShapeError, match=r"images\['cam2'\]: .* 50 x 48"):
-        ToSphere(3)(sample)
-    del sample["images"]["cam2"]
-    with pytest.raises(ArgumentError, match="cam2"):
-        ToSphere(3)(sample)
 
 
 def test_same_images_on_the_sphere_as_the_published_implementation(golden: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.data import (
     Compose,
     OmniStereoDataset,
@@ -34,13 +34,12 @@ from tests.worlds import scenes
 
 LEVEL = 4
 Sample = dict[str, Any]
-Make = Callable[..., Any]
 
 
 @pytest.fixture
-def masked(make_rig: Make) -> CameraRig:
+def masked() -> CameraRig:
     """Four cameras of 220°, the first of which has a mask that takes a quarter of its image away."""
-    rig = make_rig(image_size=(48, 48))
+    rig = ring_rig(image_size=(48, 48))
     mask = torch.ones(48, 48, dtype=torch.bool)
     mask[24:, 24:] = False
     return CameraRig(rig.cameras, rig.world_from_camera, {"cam1": mask})
@@ -170,7 +169,9 @@ def test_rendered_scenes_say_what_was_seen(masked: CameraRig, tmp_path: Path) ->
             assert (sample["fisheye"].movedim(1, -1)[~sample["fisheye_seen"]] == 0).all()
 
 
-def test_sets_on_disk_say_what_was_seen(tmp_path: Path, rig: CameraRig, frames: Make) -> None:
+def test_sets_on_disk_say_what_was_seen(
+    tmp_path: Path, rig: CameraRig, frames: Callable[..., list[Sample]]
+) -> None:
     write_omnistereo(tmp_path, frames(1, 2), rig)
     data = OmniStereoDataset(tmp_path, split="all")
     sample = data[0]

@@ -50,20 +50,6 @@ def test_longitude_and_latitude_survive_the_round_trip(generator: torch.Generato
     torch.testing.assert_close(again, directions)
 
 
-@pytest.mark.parametrize("kind", [torch.float16, torch.bfloat16])
-def test_half_precision_is_computed_in_single(kind: torch.dtype, generator: torch.Generator) -> None:
-    directions = torch.randn(50, 3, generator=generator).to(kind)
-    x, y, _ = directions.unbind(-1)
-    for function, given in (
-        (longitude_latitude_from_directions, (directions,)),
-        (directions_from_longitude_latitude, (x, y)),
-        (angle_from_axis, (directions,)),
-        (normalize, (directions,)),
-    ):
-        single = function(*(value.float() for value in given))
-        torch.testing.assert_close(function(*given), single, rtol=0, atol=0)
-
-
 def test_poles_have_longitude_zero_and_finite_gradients() -> None:
     poles = torch.tensor([[0.0, -1.0, 0.0], [0.0, 1.0, 0.0], [1e-25, -1.0, 0.0]], requires_grad=True)
     longitude, latitude = longitude_latitude_from_directions(poles)

@@ -33,14 +33,6 @@ def test_against_opencv_remap(generator: torch.Generator) -> None:
     np.testing.assert_allclose(bilinear_sample(image[None], pixels)[0], expected, atol=1e-4)
 
 
-@pytest.mark.parametrize("wrap", [False, True])
-def test_pixels_in_half_precision_are_where_they_say(wrap: bool) -> None:
-    columns, pixels = torch.arange(900.0).expand(1, 3, 900), torch.tensor([[10.5, 1.0], [700.5, 1.0]])
-    torch.testing.assert_close(
-        bilinear_sample(columns, pixels.half(), wrap), bilinear_sample(columns, pixels, wrap)
-    )
-
-
 def test_padding() -> None:
     image = torch.ones(1, 3, 3, dtype=torch.float64)
     outside = torch.tensor([[-0.5, 1.0], [-3.0, 1.0]], dtype=torch.float64)
@@ -74,13 +66,6 @@ def test_leading_dimensions_broadcast(generator: torch.Generator) -> None:
     for i in range(2):
         for j in range(3):
             torch.testing.assert_close(together[i, j], bilinear_sample(images[i, j], pixels[j]))
-
-
-@pytest.mark.parametrize("wrap", [False, True])
-def test_gradcheck(generator: torch.Generator, wrap: bool) -> None:
-    image = torch.rand(2, 4, 6, generator=generator, dtype=torch.float64, requires_grad=True)
-    pixels = torch.tensor([[0.3, 0.4], [2.6, 2.2], [4.7, 1.5]], dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(lambda i, p: bilinear_sample(i, p, wrap_longitude=wrap), (image, pixels))
 
 
 @pytest.mark.parametrize(("batch", "number"), [((), 0), ((0,), 4), ((2, 3), 0)])

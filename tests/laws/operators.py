@@ -249,7 +249,10 @@ CALLS: dict[str, Callable[[], Any]] = {
     "north_fraction": lambda: crown.north_fraction(LEVEL, device=INPUTS[-1].device),
     # geometry
     "angle_from_axis": lambda: geometry.angle_from_axis(m(5, 3)),
-    "bilinear_sample": lambda: geometry.bilinear_sample(m(3, 4, 8), m(5, 2), wrap_longitude=True),
+    "bilinear_sample": lambda: (
+        geometry.bilinear_sample(m(3, 4, 8), m(5, 2), wrap_longitude=True),
+        geometry.bilinear_sample(m(3, 4, 8), m(5, 2)),
+    ),
     "directions_from_longitude_latitude": lambda: geometry.directions_from_longitude_latitude(m(5), m(5)),
     "longitude_latitude_from_directions": lambda: geometry.longitude_latitude_from_directions(m(5, 3)),
     "invert_transform": lambda: geometry.invert_transform(m(4, 4)),

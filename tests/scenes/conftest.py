@@ -1,4 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The small rig of the data sets' tests, and frames of noise for it."""
+"""The small rig of the data sets' tests."""
 
-from tests.data.conftest import frames, make_frames, make_rig, rig  # noqa: F401
+from tests.data.conftest import rig  # noqa: F401

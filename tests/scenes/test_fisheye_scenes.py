@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
-from sphericalvision.cameras import CameraRig, EquirectangularCamera
+from sphericalvision.cameras import CameraRig, EquirectangularCamera, ring_rig
 from sphericalvision.data import PhotometricAugmentation, RotateFivefold, SampleView, collate_samples
 from sphericalvision.data.augmentation.sphere_rotation import yaw_rotation
 from sphericalvision.recipes.datamodules.depth_data_module import view_with
@@ -46,8 +45,8 @@ def same(first: Sample, second: Sample) -> bool:
     return set(first) == set(second) and all(torch.equal(first[key], second[key]) for key in tensors)
 
 
-def test_images_on_the_sphere_are_the_same_beside_the_cameras_own(make_rig: Callable[..., CameraRig]) -> None:
-    rig = make_rig(image_size=(64, 64))
+def test_images_on_the_sphere_are_the_same_beside_the_cameras_own() -> None:
+    rig = ring_rig(image_size=(64, 64))
     for antialias in (False, True):
         ours, others = (
             world_scenes(rig, 2, 4, SampleView(3, 1, images, antialias=antialias), kind=["room", "floating"])
@@ -58,8 +57,8 @@ def test_images_on_the_sphere_are_the_same_beside_the_cameras_own(make_rig: Call
             assert all(torch.equal(sample[key], other[key]) for key in KEYS["sphere"])
 
 
-def test_fisheye_images_are_renderings_and_zero_out_of_view(make_rig: Callable[..., CameraRig]) -> None:
-    rig = make_rig(image_size=(40, 48))
+def test_fisheye_images_are_renderings_and_zero_out_of_view() -> None:
+    rig = ring_rig(image_size=(40, 48))
     sample = world_scenes(rig, 1, 3, SampleView(images=True))[0]
     pictures = torch.stack(list(render_rig(make_scene("room", 3, center=rig.center), rig).values()))
     down, across = torch.meshgrid(torch.arange(40) - 19.5, torch.arange(48) - 23.5, indexing="ij")
@@ -82,7 +81,7 @@ def test_panoramas_are_exact(rig: CameraRig) -> None:
 
 @pytest.mark.parametrize("entries", [("sphere",), ("depth",), ("fisheye",), ("panorama",), tuple(KEYS)])
 def test_only_what_is_asked_for_is_computed(
-    entries: tuple[str, ...], make_rig: Callable[..., CameraRig], monkeypatch: pytest.MonkeyPatch
+    entries: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     called: set[str] = set()
 
@@ -92,7 +91,7 @@ def test_only_what_is_asked_for_is_computed(
 
     watch("render_rig")
     watch("ray_depth")
-    sample = scenes(make_rig(image_size=(16, 16)), view=view_with(entries, EVERYTHING))[0]
+    sample = scenes(ring_rig(image_size=(16, 16)), view=view_with(entries, EVERYTHING))[0]
     assert set(sample) == set().union(*(KEYS[entry] for entry in entries)) | {"rig", "frame"}
     assert ("render_rig" in called) == bool({"sphere", "fisheye"} & set(entries))
     assert ("ray_depth" in called) == bool({"sphere", "depth", "panorama"} & set(entries))
@@ -101,11 +100,10 @@ def test_only_what_is_asked_for_is_computed(
 @pytest.mark.parametrize("view", [EVERYTHING, SampleView(3, 1)], ids=str)
 def test_cached_and_fresh_samples_are_equal_and_the_cache_is_read(
     view: SampleView,
-    make_rig: Callable[..., CameraRig],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    rig = make_rig(image_size=(16, 16))
+    rig = ring_rig(image_size=(16, 16))
     fresh, cached = scenes(rig, view=view), scenes(rig, cache_dir=tmp_path, view=view)
     assert not cached.is_cached(0)
     first = fresh[0]
@@ -116,8 +114,8 @@ def test_cached_and_fresh_samples_are_equal_and_the_cache_is_read(
     assert same(first, scenes(rig, cache_dir=tmp_path, view=view)[0])
 
 
-def test_masks_cover_images(make_rig: Callable[..., CameraRig]) -> None:
-    rig = make_rig(image_size=(16, 16))
+def test_masks_cover_images() -> None:
+    rig = ring_rig(image_size=(16, 16))
     mask = torch.ones(16, 16, dtype=torch.bool)
     mask[8:] = False
     masked = CameraRig(rig.cameras, rig.world_from_camera, {"cam1": mask})
@@ -127,9 +125,9 @@ def test_masks_cover_images(make_rig: Callable[..., CameraRig]) -> None:
     assert torch.equal(covered[1:], plain[1:])
 
 
-def test_a_turned_sample_is_one_of_the_turned_world(make_rig: Callable[..., CameraRig]) -> None:
+def test_a_turned_sample_is_one_of_the_turned_world() -> None:
     """The panorama by whole columns, the icosphere from chart to chart, the cameras with the world: all one turn."""
-    rig = make_rig(image_size=(32, 32))
+    rig = ring_rig(image_size=(32, 32))
     sample = scenes(rig, first_seed=2)[0]
     turned = RotateFivefold(steps=2)(sample)
     turn = yaw_rotation(torch.tensor(4 * math.pi / 5))
@@ -156,9 +154,9 @@ def test_colours_change_alike_on_the_sphere_and_in_the_images(rig: CameraRig) ->
     assert (changed["fisheye"][..., 0] == 0).all()
 
 
-def test_batches_and_panoramic_cameras(make_rig: Callable[..., CameraRig]) -> None:
+def test_batches_and_panoramic_cameras() -> None:
     """360° cameras are seen everywhere, and the two kinds of cameras agree about the same scene."""
-    lenses = make_rig(image_size=(96, 96))
+    lenses = ring_rig(image_size=(96, 96))
     panoramas = CameraRig([EquirectangularCamera((64, 128))] * 4, lenses.world_from_camera)
     through_lenses, around = (
         collate_samples([scenes(rig, samples_per_pixel=2)[k] for k in range(2)])
@@ -172,7 +170,7 @@ def test_batches_and_panoramic_cameras(make_rig: Callable[..., CameraRig]) -> No
     assert torch.equal(through_lenses["panorama_inverse_depth"], around["panorama_inverse_depth"])
 
 
-def test_cameras_of_several_sizes_see_the_sphere(rig: CameraRig, make_rig: Callable[..., CameraRig]) -> None:
-    one, other = rig.cameras["cam1"], make_rig(image_size=(20, 20)).cameras["cam1"]
+def test_cameras_of_several_sizes_see_the_sphere(rig: CameraRig) -> None:
+    one, other = rig.cameras["cam1"], ring_rig(image_size=(20, 20)).cameras["cam1"]
     mixed = CameraRig([one, other], rig.world_from_camera[:2])
     assert "images" in scenes(mixed, view=SampleView(3))[0]

@@ -82,10 +82,8 @@ def test_textures_and_colours_are_where_they_belong(suffix: str, tmp_path: Path)
         mesh = quad()
         mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=colors)
     else:
-        pixels = np.zeros((64, 64, 3), np.uint8)
-        pixels[:32], pixels[32:, :32], pixels[32:, 32:] = (255, 0, 0), (0, 255, 0), (0, 0, 255)
         uv = [[0, 0], [1, 0], [1, 1], [0, 1]]
-        mesh = quad(trimesh.visual.TextureVisuals(uv=uv, image=Image.fromarray(pixels)))
+        mesh = quad(trimesh.visual.TextureVisuals(uv=uv, image=FOUR))
     mesh.export(tmp_path / f"quad{suffix}")
     scene = read_mesh_scene(tmp_path / f"quad{suffix}")
     spots = torch.tensor([[-0.9, -0.9, 1.0], [0.9, -0.9, 1.0], [-0.9, 0.9, 1.0], [0.9, 0.9, 1.0]])
@@ -194,7 +192,9 @@ def in_front(scene: MeshScene) -> list[float]:
     return render_directions(scene, ORIGIN, FORWARD[None])[:, 0].tolist()
 
 
-RED = Image.new("RGB", (2, 2), (255, 0, 0))
+RED, FOUR = (Image.new("RGB", (side, side), (255, 0, 0)) for side in (2, 64))
+FOUR.paste((0, 255, 0), (0, 32, 32, 64))  # below to the left
+FOUR.paste((0, 0, 255), (32, 32, 64, 64))
 
 
 @pytest.mark.parametrize(
@@ -308,9 +308,7 @@ def square(
     if material is not None:
         tree["materials"], primitive["material"] = [{"pbrMetallicRoughness": material}], 0
         tree["images"], tree["textures"] = [{"uri": "four.png"}], [{"source": 0}]
-        pixels = np.zeros((64, 64, 3), np.uint8)
-        pixels[:32], pixels[32:, :32], pixels[32:, 32:] = (255, 0, 0), (0, 255, 0), (0, 0, 255)
-        Image.fromarray(pixels).save(folder / "four.png")
+        FOUR.save(folder / "four.png")
     tree["meshes"], tree["buffers"] = [{"primitives": [primitive]}], [{"byteLength": len(content)}]
     if suffix == ".gltf":
         (folder / "buffer.bin").write_bytes(content)

@@ -17,7 +17,6 @@ from sphericalvision.scenes import World
 from sphericalvision.scenes.disturbances import DISPLAY
 from sphericalvision.scenes.draws import Draws
 from sphericalvision.scenes.procedural import make_scene, ray_depth, render_directions, render_rig
-from sphericalvision.scenes.world import HELD_OUT_SEED
 from tests.worlds import RANDOM_RIGS, random_rigs
 from tests.worlds import scenes as world_scenes
 
@@ -109,13 +108,6 @@ def test_photographs_are_prepared_as_in_use(tmp_path):
     ((rig, images),) = given
     assert torch.equal(rig.world_from_camera, plain[0]["rig"].world_from_camera)
     assert set(images) == set(rig.names)
-
-
-def test_seeds_of_the_benchmark_and_unknown_kinds_are_refused():
-    with pytest.raises(ArgumentError, match="seeds"):
-        random_rigs(2, HELD_OUT_SEED - 1)
-    with pytest.raises(ArgumentError, match="shares"):
-        random_rigs(1, values={**VALUES, "kind": {"forest": 1.0}})
 
 
 def test_what_happens_how_often_is_plain_values():

@@ -7,7 +7,6 @@ import io
 import math
 import pickle
 import random
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ import numpy as np
 import pytest
 import torch
 
-from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.core import ShapeError
 from sphericalvision.data import SampleView
 from sphericalvision.data.augmentation.fivefold import RotateFivefold, rotate_fivefold
@@ -47,10 +46,8 @@ def test_sample_holds_what_the_contract_says(rig: CameraRig) -> None:
     assert [data[k]["frame"] for k in range(3)] == ["floating-00000005", "room-00000006", "floating-00000007"]
 
 
-def test_ground_truth_is_exact_ray_depth_from_the_centre_of_the_rig(
-    make_rig: Callable[..., CameraRig],
-) -> None:
-    rig = make_rig(image_size=(8, 8))
+def test_ground_truth_is_exact_ray_depth_from_the_centre_of_the_rig() -> None:
+    rig = ring_rig(image_size=(8, 8))
     poses = rig.world_from_camera.clone()
     poses[:, :3, 3] += torch.tensor([1.0, 2.0, 3.0])
     away = CameraRig(rig.cameras, poses)
@@ -59,9 +56,9 @@ def test_ground_truth_is_exact_ray_depth_from_the_centre_of_the_rig(
     torch.testing.assert_close(sample["inverse_depth"], 1 / depth, rtol=1e-3, atol=1e-4)
 
 
-def test_images_show_what_the_cameras_see_in_world_directions(make_rig: Callable[..., CameraRig]) -> None:
+def test_images_show_what_the_cameras_see_in_world_directions() -> None:
     """At a vertex that a camera sees, the sphere holds the colour along that direction from the camera."""
-    rig = make_rig(image_size=(160, 160))
+    rig = ring_rig(image_size=(160, 160))
     sample = scenes(rig, 1, 1, SampleView(4, 2))[0]
     scene = make_scene("room", 1, center=rig.center)
     vertices = Icosphere(4).vertices
@@ -74,19 +71,17 @@ def test_images_show_what_the_cameras_see_in_world_directions(make_rig: Callable
         assert (image[:, hidden] == 0).all()
 
 
-def test_min_depth_scales_the_scene(make_rig: Callable[..., CameraRig]) -> None:
+def test_min_depth_scales_the_scene() -> None:
     """Three times the rig and the least depth: a third of the inverse depth, the same images."""
-    small, large = make_rig(0.2, image_size=(48, 48)), make_rig(0.6, image_size=(48, 48))
+    small, large = ring_rig(radius=0.2, image_size=(48, 48)), ring_rig(radius=0.6, image_size=(48, 48))
     first = scenes(small, min_depth=0.55)[0]
     second = scenes(large, min_depth=1.65)[0]
     torch.testing.assert_close(second["inverse_depth"] * 3, first["inverse_depth"], rtol=1e-3, atol=1e-3)
     assert ((first["images"] - second["images"]).abs() < 0.05).float().mean() > 0.98
 
 
-def test_another_parameter_never_reads_a_stale_sample(
-    make_rig: Callable[..., CameraRig], tmp_path: Path
-) -> None:
-    rig = make_rig(image_size=(16, 16))
+def test_another_parameter_never_reads_a_stale_sample(tmp_path: Path) -> None:
+    rig = ring_rig(image_size=(16, 16))
     mask = torch.ones(16, 16, dtype=torch.bool)
     mask[8:] = False
     masked = CameraRig(rig.cameras, rig.world_from_camera, {rig.names[0]: mask})
@@ -100,9 +95,9 @@ def test_another_parameter_never_reads_a_stale_sample(
         {"samples_per_pixel": 2},
         {"min_depth": 0.5},
         {"view": SampleView(3, 1, antialias=True)},
-        {"rig": make_rig(radius=0.21, image_size=(16, 16))},
-        {"rig": make_rig(num_cameras=3, image_size=(16, 16))},
-        {"rig": make_rig(image_size=(16, 18))},
+        {"rig": ring_rig(radius=0.21, image_size=(16, 16))},
+        {"rig": ring_rig(num_cameras=3, image_size=(16, 16))},
+        {"rig": ring_rig(image_size=(16, 18))},
         {"rig": masked},
     ]
     folders = set()
@@ -110,7 +105,7 @@ def test_another_parameter_never_reads_a_stale_sample(
         arguments = {"rig": rig, "cache_dir": tmp_path} | variant
         folders.add(scenes(**arguments).cache.folder)
     assert len(folders) == len(variants)
-    again = scenes(make_rig(image_size=(16, 16)), 5, 9, cache_dir=tmp_path)
+    again = scenes(ring_rig(image_size=(16, 16)), 5, 9, cache_dir=tmp_path)
     assert again.cache.folder in folders
 
 
@@ -172,9 +167,9 @@ def test_random_rotation_follows_its_generator(rig: CameraRig) -> None:
         rotate_fivefold(torch.zeros(3, 100), 1)
 
 
-def test_data_sets_go_to_processes_that_are_started_anew(make_rig: Callable[..., CameraRig]) -> None:
+def test_data_sets_go_to_processes_that_are_started_anew() -> None:
     """Where processes are not forked (macOS, Windows), a loader's workers get their data set as bytes."""
-    samples = scenes(make_rig(image_size=(8, 8)), view=SampleView(3, 1, panorama=(8, 16)))
+    samples = scenes(ring_rig(image_size=(8, 8)), view=SampleView(3, 1, panorama=(8, 16)))
     sample, again = samples[0], pickle.loads(pickle.dumps(samples))[0]
     assert same(sample, again)
     assert torch.equal(sample["panorama_inverse_depth"], again["panorama_inverse_depth"])

@@ -41,9 +41,6 @@ def depths(kind: str, directions: Tensor) -> Tensor:
 def test_several_kinds_take_turns() -> None:
     assert [kind_of(["room", "floating"], seed) for seed in range(4)] == ["room", "floating"] * 2
     assert kind_of("hall", 3) == "hall"
-    for unknown in ("street", ["room", "street"], []):
-        with pytest.raises(ArgumentError, match=r"kind: expected one of .*'outdoors'"):
-            kind_of(unknown, 0)
 
 
 def test_turns_of_the_benchmark_stay() -> None:
@@ -105,7 +102,6 @@ def test_patchworks_are_open_or_closed_and_seen_from_any_height() -> None:
     scenes = [make_scene("patchwork", seed) for seed in range(60)]
     down, up = (torch.stack([ray_depth(scene, ORIGIN, way[None]) for scene in scenes]) for way in (DOWN, UP))
     assert 0.25 < up.isinf().float().mean() < 0.55
-    assert down.min() >= 0.6
     assert (down < 0.9).any()
     assert (down > 3).any()
     assert {len(scene.lamps.position) for scene in scenes} == {0, 1, 2}
@@ -119,7 +115,6 @@ def test_rough_places_are_caves_and_slopes_without_anything_level_or_upright() -
     )
     assert 0.2 < above.isinf().any(1).float().mean() < 0.6
     assert below.isfinite().all()
-    assert torch.minimum(below, above).min() >= 0.6
     # A level floor without anything on it would be equally far in all directions of one elevation.
     uneven = below.quantile(0.9, 1) / below.quantile(0.1, 1)
     assert uneven.median() > 1.3
@@ -133,7 +128,6 @@ def test_terrain_is_uneven_at_all_scales_and_reaches_far_below_the_open_sky() ->
         for elevation in (-0.6, 0.6)
     )
     assert below.isfinite().all()
-    assert torch.minimum(below, above).min() >= 0.6
     assert (below.quantile(0.9, 1) / below.quantile(0.1, 1)).median() > 1.3
     assert above.isinf().float().mean() > 0.6
     level = torch.stack([ray_depth(scene, ORIGIN, around(-0.02, 360)) for scene in scenes])
@@ -202,7 +196,6 @@ def test_glazed_rooms_are_closed_above_and_below_and_open_to_the_sky_at_their_si
     for vertical in (UP, DOWN):
         assert max(ray_depth(scene, ORIGIN, vertical[None]).item() for scene in scenes) < 3.6
     level = torch.stack([ray_depth(scene, ORIGIN, around(0.1)) for scene in scenes])
-    assert level.min() >= 0.6
     beyond = (level > 6 * 2**0.5 + 1e-3).float().mean(1)  # no corner of the room is as far
     assert (beyond > 0).float().mean() > 0.85
     assert beyond.max() > 0.3

@@ -27,17 +27,6 @@ def test_square_pixels_over_the_whole_sphere_are_the_ordinary_grid() -> None:
     assert repr(grid) == repr(same)
 
 
-def test_convention_forward_is_the_middle_and_up_the_top() -> None:
-    directions = Equirectangular(320, 640).directions
-    half = math.pi / 640
-    # Half a pixel from straight up.
-    torch.testing.assert_close(directions[0, 0, 1], torch.tensor(-math.cos(half)))
-    # Pixel 319.5 would look forward; its neighbour to the right looks a little to the right.
-    assert directions[160, 320].tolist() == pytest.approx(
-        [math.sin(half) * math.cos(half), math.sin(half), math.cos(half) ** 2], abs=1e-6
-    )
-
-
 def test_rows_near_the_horizon_are_the_middle_rows_of_the_whole_sphere() -> None:
     part, whole = square(16, 64), Equirectangular(32, 64)
     torch.testing.assert_close(part.directions, whole.directions[8:24])

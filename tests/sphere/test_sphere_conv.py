@@ -85,18 +85,6 @@ def test_weights_are_those_of_a_planar_convolution() -> None:
     assert isinstance(sphere, nn.Conv2d)
 
 
-@pytest.mark.parametrize(("stride", "groups"), [(1, 1), ((2, 4), 1), (2, 2)])
-def test_gradients(stride: int | tuple[int, int], groups: int) -> None:
-    images, bias = random_values(1, 2, 4, 6).requires_grad_(), random_values(2).requires_grad_()
-    weight = random_values(2, 2 // groups, 3, 3).requires_grad_()
-
-    def convolve(*inputs: Tensor) -> Tensor:
-        return sphere_conv2d(*inputs, stride, 1, groups)
-
-    assert torch.autograd.gradcheck(convolve, (images, weight, bias))
-    assert torch.autograd.gradgradcheck(convolve, (images, weight, bias), fast_mode=True)
-
-
 @pytest.mark.parametrize("stride", [1, 2, (2, 3)])
 @pytest.mark.parametrize("size", [(6, 18), (40, 90), (7, 13)])
 def test_sums_of_rows_are_the_sampled_image(

@@ -10,8 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.cameras import CameraRig, FisheyeCamera
-from sphericalvision.geometry import transform_from_axis_angle
+from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.viz import depth_to_color, error_panorama, error_to_color, rgb_panorama
@@ -36,12 +35,7 @@ def box_depth(origin: Tensor, directions: Tensor) -> Tensor:
 
 @pytest.fixture
 def rig() -> CameraRig:
-    camera = FisheyeCamera.from_field_of_view((200, 200), math.radians(220))
-    turns = torch.arange(4) * (math.pi / 2)
-    zero = torch.zeros(4)
-    position = torch.stack((0.3 * turns.sin(), zero, 0.3 * turns.cos()), dim=-1)
-    poses = transform_from_axis_angle(torch.stack((zero, turns, zero), dim=-1), position)
-    return CameraRig({f"cam{k}": camera for k in range(1, 5)}, poses)
+    return ring_rig(4, 0.3, (200, 200))
 
 
 def paint(rig: CameraRig) -> dict[str, Tensor]:

@@ -52,6 +52,8 @@ REFUSED: list[tuple[Files, dict[str, Any], str, str]] = [  # files, what is give
     (OCAM | {"poses.txt": POSES_CM}, {"translation_unit": "inch"}, ".", "'m', 'cm', 'mm'"),
     (OCAM | {"poses.txt": POSES_CM.replace("20 0 -20", "nan 0 -20", 1)}, {"translation_unit": "cm"}, ".",
      "poses.txt, line 2: expected finite numbers"),
+    (OCAM | {"poses.txt": POSES_CM.replace("1.57", "90", 1)}, {"translation_unit": "cm"}, ".",
+     "poses.txt, line 2: expected a rotation vector in radians"),
     (OCAM | {"poses.txt": POSES_CM.replace("0 0 -40", "0 -40")}, {"translation_unit": "cm"}, ".",
      "poses.txt, line 3: expected 6 numbers, got 5"),
     ({name: OCAM[name] for name in list(OCAM)[:3]} | {"poses.txt": POSES_CM}, {"translation_unit": "cm"}, ".",

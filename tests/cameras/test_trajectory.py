@@ -316,12 +316,13 @@ def test_images_without_poses_are_refused() -> None:
             "8 columns",
         ),  # commas, and nothing says which column is which
         (table(way(), "# time x y z qw qx qy qz extra", W_FIRST, " "), "the header names 9 columns"),
+        (table(way(), EUROC.replace("[m]", "[mm]"), W_FIRST), "line 1: expected positions in metres"),
         (
             "# sec nsec x y z qx qy qz qw\n0.5 7 0 0 0 0 0 0 1",
             "line 2: expected whole seconds and nanoseconds .* got 0.5 and 7",
         ),
     ],
-    ids=["commas without a header", "more names than values", "decimals beside nanoseconds"],
+    ids=["commas without a header", "more names than values", "millimetres", "decimals beside nanoseconds"],
 )
 def test_a_table_whose_columns_are_not_known_is_refused(tmp_path: Path, text: str, said: str) -> None:
     (tmp_path / "data.csv").write_text(text)

@@ -9,6 +9,7 @@ by its words, such as ``date`` or ``rms``, or by the list of its format.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable
 from difflib import get_close_matches
@@ -134,6 +135,17 @@ class Keys(dict[Any, Any]):
         if default is not None and key not in self:
             return default
         return numbers(self.entry(key), self.at(key), 1)[0]
+
+    def half_view(self, key: str) -> float | None:
+        """Radians from the axis, of a full angle in degrees; None where the key is not there."""
+        if self.get(key) is None:
+            return None
+        view = self.number(key)
+        if not 2 * math.pi < view <= 360:
+            raise FileFormatError(
+                f"{self.at(key)}: expected degrees up to 360, got {view:g}; are these radians?"
+            )
+        return math.radians(view) / 2
 
     def count(self, key: str, most: int, default: float | None = None) -> int:
         """A whole number from 1 to ``most``."""

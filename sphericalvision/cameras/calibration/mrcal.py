@@ -14,14 +14,13 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
-import torch
-
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import as_keys, check_understood, with_keys
 from sphericalvision.cameras.calibration.lenses import distorted
+from sphericalvision.cameras.calibration.poses import transform_from_rotation_vector
 from sphericalvision.core import FileFormatError
-from sphericalvision.geometry import invert_transform, transform_from_axis_angle
+from sphericalvision.geometry import invert_transform
 from sphericalvision.io.files import by_numbers, read_text
 
 __all__ = ["contents", "files_of_rig", "recognizes"]
@@ -55,9 +54,9 @@ def contents(path: Path, options: Options) -> Contents:
     kind, count = _MODELS[values.chosen("lensmodel", _MODELS)]
     camera = distorted(kind, values.numbers("intrinsics", count), values.size("imagersize"), where)
     key = "rt_cam_ref" if "rt_cam_ref" in values else "extrinsics"
-    motion = torch.tensor(values.numbers(key, 6), dtype=torch.float64)
+    motion = values.numbers(key, 6)
     check_understood(values, where, "valid_intrinsics_region|icam_intrinsics|optimization_inputs")
-    pose = invert_transform(transform_from_axis_angle(motion[:3], motion[3:]))
+    pose = invert_transform(transform_from_rotation_vector(motion[:3], motion[3:], values.at(key)))
     return Gathered(options).add(path.stem, camera, where, pose).contents
 
 

@@ -23,10 +23,10 @@ from sphericalvision.cameras.calibration.parsing import (
     numbers,
     size_from_width_height,
 )
+from sphericalvision.cameras.calibration.poses import transform_from_rotation_vector
 from sphericalvision.cameras.calibration.text_files import data_lines, looks_structured
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, check_file
-from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.io.files import atomic_write, by_numbers, read_text
 
 __all__ = [
@@ -180,8 +180,9 @@ def _folder_contents(folder: Path, options: Options) -> Contents:
     calibration = Gathered(options)
     for place, (file, (number, words)) in enumerate(zip(files, lines, strict=True), start=1):
         name = f"cam{file.stem.removeprefix('ocam').lstrip('_') or place}"
-        row = torch.tensor(numbers(words, f"{poses_path}, line {number}", 6), dtype=torch.float64)
-        pose = transform_from_axis_angle(row[:3], row[3:] * unit)
+        where = f"{poses_path}, line {number}"
+        row = numbers(words, where, 6)
+        pose = transform_from_rotation_vector(row[:3], [unit * value for value in row[3:]], where)
         calibration.add(name, _ocam(file), str(file), pose, STEREO_SETS_MAX_ANGLE)
     return calibration.contents
 

@@ -13,19 +13,15 @@ import re
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from sphericalvision.cameras.base import check_single
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import refuse_mask_of_another
 from sphericalvision.cameras.calibration.ocam_text import make_ocam, ocam_numbers
-from sphericalvision.cameras.calibration.poses import axis_angle_from_rotation
+from sphericalvision.cameras.calibration.poses import axis_angle_from_rotation, transform_from_rotation_vector
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import FileFormatError
-from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.io.images import read_mask, write_mask
 from sphericalvision.io.yaml_files import write_yaml
 
@@ -51,15 +47,10 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     for values in content.several("cameras"):
         name = f"cam{values.entry('cam_id')}"
         values.where += f" ({name:.80})"
-        camera, view = _camera(values), None
-        if values.get("max_fov") is not None and options.max_angle is None:
-            view = math.radians(values.number("max_fov")) / 2
-            if not math.radians(2 * math.pi) < 2 * view <= 2 * math.pi:
-                raise FileFormatError(
-                    f"{values.at('max_fov')}: expected degrees up to 360, got {values['max_fov']}; are these radians?"
-                )
-        pose = torch.tensor(values.numbers("pose", 6), dtype=torch.float64)
-        calibration.add(name, camera, values.where, transform_from_axis_angle(pose[:3], pose[3:]), view)
+        camera, view = _camera(values), values.half_view("max_fov")
+        pose = values.numbers("pose", 6)
+        world_from_camera = transform_from_rotation_vector(pose[:3], pose[3:], values.at("pose"))
+        calibration.add(name, camera, values.where, world_from_camera, view)
         mask = values.get("invalid_mask")
         if mask and (path.parent / str(mask)).is_file():
             calibration.masks[name] = read_mask(path.parent / str(mask), camera.image_size, usable="black")

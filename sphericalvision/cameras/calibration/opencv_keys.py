@@ -14,6 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras.calibration.parsing import matrix
+from sphericalvision.cameras.calibration.poses import checked_radians
 from sphericalvision.core import FileFormatError
 
 __all__ = ["DISTORTION", "MATRIX", "MODEL", "ROTATION", "SIZE", "TRANSLATION", "find", "matrix", "rotation"]
@@ -56,7 +57,7 @@ def rotation(value: Any, where: str) -> Float[Tensor, "3 3"]:
     """A rotation (3, 3) from a matrix or a rotation vector."""
     elements = matrix(value, where)
     if len(elements) == 3:
-        return torch.from_numpy(cv2.Rodrigues(np.array(elements))[0])
+        return torch.from_numpy(cv2.Rodrigues(np.array(checked_radians(elements, where)))[0])
     if len(elements) != 9:
         raise FileFormatError(
             f"{where}: expected a 3 x 3 rotation or a rotation vector, got {len(elements)} numbers"

@@ -15,17 +15,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import distorted
 from sphericalvision.cameras.calibration.parsing import view_name
+from sphericalvision.cameras.calibration.poses import transform_from_rotation_vector
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.core import FileFormatError, short_repr
-from sphericalvision.geometry import invert_transform, transform_from_axis_angle
+from sphericalvision.geometry import invert_transform
 
 __all__ = ["contents", "recognizes"]
 
@@ -66,9 +65,8 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
         if shot.get("orientation", 1) not in (0, 1):
             raise FileFormatError(f"{shot.at('orientation')}: expected 1, an image that is not turned")
         vectors = [shot.numbers(key, 3) for key in ("rotation", "translation")]
-        turn, place = torch.tensor(vectors, dtype=torch.float64)
-        pose = invert_transform(transform_from_axis_angle(turn, place))
-        calibration.add(name, cameras.cameras[lens], shot.where, pose)
+        pose = transform_from_rotation_vector(*vectors, shot.at("rotation"))
+        calibration.add(name, cameras.cameras[lens], shot.where, invert_transform(pose))
     if not calibration.cameras:
         raise FileFormatError(f"{path}, shots: expected at least one")
     return calibration.contents

@@ -13,14 +13,16 @@ from torch import Tensor
 
 from sphericalvision.cameras.calibration.parsing import numbers
 from sphericalvision.core import FileFormatError
-from sphericalvision.geometry import transform_from_quaternion
+from sphericalvision.geometry import transform_from_axis_angle, transform_from_quaternion
 
 __all__ = [
     "OPENGL_FROM_OPENCV",
     "axis_angle_from_rotation",
+    "checked_radians",
     "checked_rigid",
     "quaternion_from_rotation",
     "transform_from_numbers",
+    "transform_from_rotation_vector",
     "transform_from_rows",
 ]
 
@@ -40,6 +42,15 @@ def checked_rigid(transform: Float[Tensor, "4 4"], where: str) -> Float[Tensor, 
             f"{where}: expected a rotation (orthonormal, determinant +1) in the upper left 3 x 3, got {fault}"
         )
     return transform
+
+
+def checked_radians(rotation: Sequence[float], where: str) -> Sequence[float]:
+    """``rotation``, a rotation vector, if it is no longer than a full turn, else ``FileFormatError``."""
+    if (angle := math.hypot(*rotation)) > 2 * math.pi:
+        raise FileFormatError(
+            f"{where}: expected a rotation vector in radians, got one of length {angle:.4g}; are these degrees?"
+        )
+    return rotation
 
 
 def transform_from_rows(values: Any, where: str) -> Float[Tensor, "4 4"]:
@@ -77,6 +88,19 @@ def transform_from_numbers(
         raise FileFormatError(f"{where}: expected a quaternion of length 1, got one of length {length:.3g}")
     table = torch.tensor([*quaternion, *translation], dtype=torch.float64)
     return transform_from_quaternion(table[:4], table[4:])
+
+
+def transform_from_rotation_vector(
+    rotation: Sequence[float], translation: Sequence[float], where: str
+) -> Float[Tensor, "4 4"]:
+    """A rigid transform (4, 4), float64, of a rotation vector in radians and a translation.
+
+    Examples:
+        >>> transform_from_rotation_vector([0, 0, 0], [0.5, 0, 0], "here")[0, 3].item()
+        0.5
+    """
+    table = torch.tensor([*checked_radians(rotation, where), *translation], dtype=torch.float64)
+    return transform_from_axis_angle(table[:3], table[3:])
 
 
 def quaternion_from_rotation(rotation: Float[Tensor, "3 3"]) -> list[float]:

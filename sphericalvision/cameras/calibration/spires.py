@@ -11,7 +11,6 @@ References:
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +36,7 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     """Cameras by label and poses of a parsed file."""
     sensor, key = content.inner("sensor"), "T_cam_lidar_t_xyz_q_xyzw"
     model = _MODELS[sensor.chosen("camera_model", _MODELS)]
-    view = math.radians(sensor.number("camera_fov")) / 2 if "camera_fov" in sensor else None
+    view = sensor.half_view("camera_fov")
     calibration = Gathered(options)
     for values in sensor.several("cameras"):
         numbers = values.numbers("intrinsics", 4)

@@ -50,6 +50,8 @@ _HEADERS = {
     for name in COLUMNS[1:]
 }
 """How headers call the columns: ``p_RS_R_x``, ``tx`` and ``x`` are one."""
+_NO_METRES = re.compile(r"(?i)[xyz]\"?\s*[\[(]\s*([ckm]m)\s*[\])]")
+"""Of a header, the unit behind a position."""
 
 
 def read_trajectory(path: str | Path) -> Trajectory:
@@ -164,6 +166,11 @@ def _table(path: Path) -> tuple[list[str] | None, list[tuple[int, list[str]]]]:
     header, lines = None, []
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         if (names := _columns(line)) is not None:
+            if unit := _NO_METRES.search(line):
+                raise FileFormatError(
+                    f"{path}, line {number}: expected positions in metres, the header says {unit[1]}; bring them to "
+                    "metres, and correct it"
+                )
             header = names
             continue
         text = line.split("#")[0]

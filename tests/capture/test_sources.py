@@ -302,6 +302,7 @@ CANDIDATES = {  # what lies in a folder, and what of it is meant; None where tha
     "previews alone": (["{camera}.LRV"], ".LRV"),
     "previews of another name": (["VID_1.insv", "LRV_1.insv"], "VID_1"),
     "thumbnails": (["{camera}/1.png", "{camera}/1.jpg"], None),
+    "pictures next to folders of them": (["{camera}/1.png", "{camera}_1.png"], None),
     "two videos": (["a.mp4", "b.mp4"], None),
     "a video and pictures of it": (["{camera}.mp4", "{camera}/1.png"], None),
     "Insta360's pictures": (["IMG_1.insp", "IMG_2.insp"], ".insp"),

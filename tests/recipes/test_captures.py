@@ -132,6 +132,8 @@ def test_what_is_wrong_with_the_layout_of_a_folder_is_told(tmp_path: Path) -> No
         open_source(str(tmp_path / "times"), rig)
     with pytest.raises(MissingFileError, match="frames="):
         open_source(str(tmp_path / "numbers"), rig, [9])
+    with pytest.raises(ArgumentError, match=r"cameras: .* of its own"):
+        open_source(f"{tmp_path}/numbers/{{camera}}/{{frame}}.png", rig, labels={"cam1": "cam2"})
 
 
 LABELS: dict[str, tuple[list[str], list[str], list[str], list[str] | None]] = {

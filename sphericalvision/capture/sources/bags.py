@@ -114,7 +114,7 @@ class Bag(Recording):
         received = {
             name: {key: message.time for key, message in own.items()} for name, own in messages.items()
         }
-        clocks = [
+        clocks: list[tuple[str, Mapping[str, Mapping[str, int | None]]]] = [
             ("the stamps in their headers", stamps),
             ("the times at which the bag received them", received),
         ]
@@ -186,10 +186,10 @@ class Bag(Recording):
 
     def _index(
         self, reader: Any, names: Sequence[str], damaged: Counter[str]
-    ) -> tuple[dict[str, dict[str, int]], dict[str, dict[str, Message]]]:
+    ) -> tuple[dict[str, dict[str, int | None]], dict[str, dict[str, Message]]]:
         """Stamp and message of every image: camera -> its number in its topic -> nanoseconds, and where it is."""
         cameras = {self.topics[name]: name for name in names}
-        stamps: dict[str, dict[str, int]] = {name: {} for name in names}
+        stamps: dict[str, dict[str, int | None]] = {name: {} for name in names}
         messages: dict[str, dict[str, Message]] = {name: {} for name in names}
         before: Counter[tuple[str, int]] = Counter()
         with self._own_words():
@@ -203,7 +203,8 @@ class Bag(Recording):
                     continue
                 number = f"{len(messages[name]):06d}"
                 messages[name][number] = message
-                stamps[name][number] = 10**9 * content.header.stamp.sec + content.header.stamp.nanosec
+                stamp = content.header.stamp
+                stamps[name][number] = 10**9 * stamp.sec + stamp.nanosec or None  # which drivers leave at 0
         return stamps, messages
 
     def sizes(self) -> dict[str, tuple[int, int]]:
@@ -242,11 +243,11 @@ class Bag(Recording):
         return _picture_of(content, f"{self.path}: {topic}")
 
 
-def _seconds(nanoseconds: Mapping[str, int]) -> dict[str, float | None]:
-    return {name: time / 1e9 for name, time in nanoseconds.items()}
+def _seconds(nanoseconds: Mapping[str, int | None]) -> dict[str, float | None]:
+    return {name: None if time is None else time / 1e9 for name, time in nanoseconds.items()}
 
 
-def _called_by_times(moments: Moments, times: Sequence[Mapping[str, int]]) -> Moments:
+def _called_by_times(moments: Moments, times: Sequence[Mapping[str, int | None]]) -> Moments:
     """Moments by number, called by the first camera's nanoseconds where a clock counts."""
     if moments.clock is None:
         return moments

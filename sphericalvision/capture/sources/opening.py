@@ -15,7 +15,7 @@ from sphericalvision.capture.sources.frames import Source
 from sphericalvision.capture.sources.image_files import IMAGE_SUFFIXES, ImageFiles
 from sphericalvision.capture.sources.joined_views import split_views
 from sphericalvision.capture.sources.live import LiveCameras
-from sphericalvision.capture.sources.patterns import EXAMPLE, find_files, find_labels
+from sphericalvision.capture.sources.patterns import EXAMPLE, files_of, find_files, find_labels
 from sphericalvision.capture.sources.videos import VIDEO_SUFFIXES, Videos
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
 from sphericalvision.io.images import read_mask
@@ -83,7 +83,10 @@ class _Opening:
         labels = dict(self.labels)
         if unlabelled:
             labels |= find_labels(pattern, self.rig.names, unlabelled, self.leave_out)
-        return {name: labels[name] for name in self.used.names}
+        labels = {name: labels[name] for name in self.used.names}
+        if len(set(labels.values())) < len(labels):
+            raise ArgumentError(f"cameras: expected files of its own for each camera, got {labels}")
+        return labels
 
     def _joined(self, pattern: str) -> ImageFiles:
         """Pictures with the views of all cameras.
@@ -190,7 +193,7 @@ def _is_preview(file: Path) -> bool:
 def _of_files(folder: Path, files: Iterable[Path], opening: _Opening) -> Source | None:
     """The source of the one kind of files of which every camera has some; None without one."""
     suffixes = sorted({f.suffix for f in files if f.suffix.lower() in (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES)})
-    patterns = [pattern for suffix in suffixes if (pattern := _layout(folder, suffix, opening)) is not None]
+    patterns = [pattern for suffix in suffixes for pattern in _layouts(folder, suffix, opening)]
     if not patterns:  # one video of all views, or pictures of them
         joined = sorted(file for file in files if file.parent == folder and file.suffix in suffixes)
         videos = [str(file) for file in joined if file.suffix.lower() in VIDEO_SUFFIXES]
@@ -204,21 +207,26 @@ def _of_files(folder: Path, files: Iterable[Path], opening: _Opening) -> Source 
     return opening.source(patterns[0]) if patterns else None
 
 
-def _layout(folder: Path, suffix: str, opening: _Opening) -> str | None:
-    """The first layout of which a folder has files of every camera, with this suffix."""
+def _layouts(folder: Path, suffix: str, opening: _Opening) -> list[str]:
+    """The layouts of which a folder has files of every camera, with this suffix; each of files of its own."""
+    patterns: dict[str, set[Path]] = {}
     is_video = suffix.lower() in VIDEO_SUFFIXES
     layouts = [layout for layout in LAYOUTS if not (is_video and JOINED in layout)]
     if len(opening.rig) == 1 and not is_video:
         layouts.insert(0, JOINED)
     for layout in layouts:
+        pattern = f"{folder}/{layout}{suffix}"
         try:
-            labels = opening.labels_of(f"{folder}/{layout}{suffix}")
+            labels = opening.labels_of(pattern)
         except MissingFileError:
             continue
         # 1.png to 4.png may be four cameras, or four pictures of all views: names alone tell.
-        if layout != "{camera}" or all(name == label for name, label in labels.items()):
-            return f"{folder}/{layout}{suffix}"
-    return None
+        if layout == "{camera}" and any(name != label for name, label in labels.items()):
+            continue
+        files = {file for label in labels.values() for file in files_of(pattern, label).values()}
+        if not any(files <= others for others in patterns.values()):
+            patterns[pattern] = files
+    return list(patterns)
 
 
 def _devices(images: str, rig: CameraRig) -> dict[str, int]:

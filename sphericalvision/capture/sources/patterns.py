@@ -13,7 +13,7 @@ from sphericalvision.capture.sources.moments import Clock, Moments, pair_moments
 from sphericalvision.core import ArgumentError, MissingFileError
 from sphericalvision.io.times import SAME_TIME, are_counts, in_order, seconds
 
-__all__ = ["find_files", "find_labels", "labels_by_number"]
+__all__ = ["files_of", "find_files", "find_labels", "labels_by_number"]
 
 EXAMPLE = "'capture/cam{camera}/{frame:05d}.png'"
 
@@ -50,7 +50,7 @@ def find_files(
     excluded = {path.resolve() for path in leave_out}
     if labels is None:
         labels = find_labels(pattern, names, leave_out=leave_out, key=key)
-    files = {name: _files(pattern, labels[name], excluded) for name in names}
+    files = {name: files_of(pattern, labels[name], excluded) for name in names}
     clocks = _clocks(files)
     moments = pair_moments(files, clocks, tolerance, key)
     if not clocks:  # equal names say themselves what belongs together
@@ -133,7 +133,7 @@ def find_labels(
             f"{EXAMPLE}, got {pattern!r}"
         )
     excluded = {path.resolve() for path in leave_out}
-    if all(_files(pattern, name, excluded) for name in used):
+    if all(files_of(pattern, name, excluded) for name in used):
         return {name: name for name in used}
     if "camera" not in fields:
         raise MissingFileError(
@@ -202,7 +202,7 @@ def _numbers(pattern: str, excluded: Container[Path]) -> set[str]:
     return {camera for camera, _ in _matches(pattern, None, excluded)}
 
 
-def _files(pattern: str, label: str, excluded: Container[Path] = ()) -> dict[str, Path]:
+def files_of(pattern: str, label: str, excluded: Container[Path] = ()) -> dict[str, Path]:
     """Frame -> file of one camera; ``""`` is the frame of a pattern without ``{frame}``."""
     files = {}
     for (_, frame), file in _matches(pattern, label, excluded).items():

@@ -10,6 +10,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import av
 import cv2
 import numpy as np
 import torch
@@ -26,6 +27,10 @@ from sphericalvision.cameras import (
     save_camera,
     save_rig,
 )
+from sphericalvision.capture.hint_files import HintFiles
+from sphericalvision.capture.sources.frames import Selection
+from sphericalvision.capture.sources.opening import open_source
+from sphericalvision.data import read_points
 from sphericalvision.data.omnistereo.ground_truth import read_ground_truth, write_ground_truth
 from sphericalvision.data.omnistereo.releases import read_min_depth
 from sphericalvision.io.images import read_image, read_mask, read_pages, write_mask
@@ -41,7 +46,9 @@ from sphericalvision.recipes.digits.module import ClassificationModule
 from sphericalvision.recipes.training.run_folder import stored_network
 from sphericalvision.scenes import read_mesh_scene
 from sphericalvision.scenes.cache import ArrayCache
+from sphericalvision.sphere import Equirectangular
 from tests.cameras.calibration_samples import RIGHT_OF_FIRST, TEXTS, flat, read_everything, sample
+from tests.data.test_truth import write_pcd
 from tests.models.test_weights import in_reference_names
 
 __all__ = ["READERS", "Reader", "files"]
@@ -90,6 +97,18 @@ def cached(path: Path) -> None:
     assert cache.get(path.stem, lambda: {"depth": torch.ones(2)})["depth"].shape == (2,)
 
 
+def frames(path: Path) -> None:
+    """A source says of a frame why it cannot be read."""
+    for frame in open_source(str(path), SMALL).frames(Selection(), lambda _: True):
+        if frame.error is not None:
+            raise frame.error
+
+
+def hint(path: Path) -> None:
+    HintFiles(str(path), ["0"], SMALL, torch.eye(4))("0")
+
+
+SMALL = ring_rig(2, image_size=(16, 32))
 IMAGE = both(read_image, read_mask)
 TRUTH = partial(read_ground_truth, min_depth=0.55)
 READERS = {
@@ -132,6 +151,13 @@ READERS = {
     "net.pth": Reader("weights", "net.pth", load_reference_checkpoint),
     "digits.ckpt": Reader("weights", "digits.ckpt", ClassificationModule.stored_network),
     "scene.npz": Reader("cache", "scene.npz", cached),
+    **{f"run.{suffix}": Reader("bags", f"run.{suffix}", frames) for suffix in ("bag", "mcap", "db3")},
+    **{f"two.{suffix}": Reader("videos", f"two.{suffix}", frames) for suffix in ("mp4", "mkv", "avi")},
+    **{
+        f"scan.{suffix}": Reader("points", f"scan.{suffix}", read_points)
+        for suffix in ("pcd", "bin", "ply", "npy", "csv", "xyz")
+    },
+    **{f"hint.{suffix}": Reader("hints", f"hint.{suffix}", hint) for suffix in ("npz", "npy", "png", "ply")},
 }
 
 
@@ -260,6 +286,57 @@ def write_weights(folder: Path) -> None:
     torch.save(
         {"network_hyperparameters": digits.hyperparameters, "state_dict": state}, folder / "digits.ckpt"
     )
+
+
+def write_bags(folder: Path) -> None:
+    from tests.capture.bags import write_bag  # skips where rosbags is not installed
+
+    picture = np.zeros((16, 32, 3), np.uint8)
+    messages = [(f"/{name}/image", time, time, picture) for time in (1, 2) for name in SMALL.names]
+    write_bag(folder / "run.bag", messages, storage="bag")
+    for storage in ("mcap", "db3"):
+        write_bag(folder / storage, messages, storage=storage)
+        next((folder / storage).glob(f"*.{storage}")).rename(folder / f"run.{storage}")
+
+
+def write_videos(folder: Path) -> None:
+    for suffix in ("mp4", "mkv", "avi"):
+        with av.open(str(folder / f"two.{suffix}"), "w") as file:
+            for _ in SMALL.names:
+                stream = file.add_stream("mpeg4", rate=10)
+                stream.width, stream.height, stream.pix_fmt = 32, 16, "yuv420p"
+            for _ in range(3):
+                for target in file.streams:
+                    picture = av.VideoFrame.from_ndarray(np.zeros((16, 32, 3), np.uint8), "rgb24")
+                    file.mux(target.encode(picture))
+            for target in file.streams:
+                file.mux(target.encode(None))
+
+
+def write_points(folder: Path) -> None:
+    import trimesh
+
+    points = np.linspace(-2, 2, 24, dtype=np.float32).reshape(8, 3)
+    write_pcd(folder / "scan.pcd", points, "ascii")
+    np.hstack((points, points[:, :1])).tofile(folder / "scan.bin")
+    np.save(folder / "scan.npy", points)
+    trimesh.PointCloud(points).export(folder / "scan.ply")
+    np.savetxt(folder / "scan.csv", points, delimiter=",", header="x,y,z")
+    np.savetxt(folder / "scan.xyz", points)
+
+
+def write_hints(folder: Path) -> None:
+    write_points(folder)
+    (folder / "scan.ply").rename(folder / "hint.ply")
+    panorama = Equirectangular(8, 16)
+    np.savez(
+        folder / "hint.npz",
+        directions=panorama.directions.numpy(),
+        inverse_depth=np.ones((8, 16), np.float32),
+        confidence=np.ones((8, 16), np.float32),
+    )
+    np.save(folder / "hint.npy", np.ones((16, 32), np.float32))
+    cv2.imwrite(str(folder / "hint.png"), np.full((8, 16), 2000, np.uint16))
 
 
 def write_cache(folder: Path) -> None:

@@ -140,8 +140,10 @@ def _pcd(path: Path, ignore_viewpoint: bool) -> Any:
     formats = [f"<{letters[t]}{s}" for t, s in zip(head["TYPE"], head["SIZE"], strict=True)]
     number = int(head["POINTS"][0])
     if kind == "ascii":
-        columns = [sum(counts[: head["FIELDS"].index(axis)]) for axis in _AXES]
-        points = np.loadtxt(io.BytesIO(content[at:]), usecols=columns, ndmin=2)
+        indices = [head["FIELDS"].index(axis) for axis in _AXES]
+        dtype = np.float64 if all(head["TYPE"][index] == "F" for index in indices) else np.int64
+        columns = [sum(counts[:index]) for index in indices]
+        points = np.loadtxt(io.BytesIO(content[at:]), dtype, usecols=columns, ndmin=2)
     else:
         names = [f"{name}#{k}" if name not in _AXES else name for k, name in enumerate(head["FIELDS"])]
         fields = [(n, f, (c,)) if c > 1 else (n, f) for n, f, c in zip(names, formats, counts, strict=True)]
@@ -205,15 +207,17 @@ def _ply(path: Path) -> Any:
 def _text(path: Path) -> Any:
     lines = [line.strip() for line in path.read_text("utf-8-sig").splitlines() if line.strip()]
     start = next((at for at, line in enumerate(lines) if re.match(r"[-+.\d]|nan", line)), len(lines))
-    columns = [0, 1, 2]
-    for line in lines[:start]:
-        names = re.findall(r"[^\s,;\"'#/]+", line.lower())
-        if set(_AXES) <= set(names):
-            columns = [names.index(axis) for axis in _AXES]
-        elif not line.startswith(("#", "//")):
-            raise FileFormatError(f"{path}: expected columns x, y and z, got {line[:80]!r}")
     # Blanks last: in "1,5 2,5 3,5" commas are no separators, and no column is a number then.
     delimiter = next((sign for sign in ";\t," if sign in "".join(lines[start : start + 1])), None)
+    columns = [0, 1, 2]
+    for line in lines[:start]:
+        header = re.sub(r"\s*[\[(]m[\])]", "", line.lower().lstrip("#/ "))  # metres, as they should be
+        separator = delimiter if delimiter and delimiter in header else None
+        names = [name.strip(" ,;\"'") for name in header.split(separator)]  # which may hold blanks
+        if set(_AXES) <= set(names):
+            columns = [names.index(axis) for axis in _AXES]
+        elif not line.startswith(("#", "//")) or re.search(r"\bx\s*[\[(]", header):
+            raise FileFormatError(f"{path}: expected columns x, y and z in metres, got {line[:80]!r}")
     return np.loadtxt(lines[start:], delimiter=delimiter, comments=("#", "//"), usecols=columns, ndmin=2)
 
 

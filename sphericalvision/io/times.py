@@ -107,6 +107,6 @@ def nearest_in_time(
             continue
         after = bisect_left(ordered, (time, -1))
         candidates = [(abs(other - time), place) for other, place in ordered[max(after - 1, 0) : after + 1]]
-        apart, place = min(candidates, default=(float("inf"), -1))
-        indices.append(place if apart <= tolerance else None)
+        distance, index = min(candidates, default=(float("inf"), -1))
+        indices.append(index if ordered and distance <= tolerance else None)
     return indices

@@ -151,6 +151,18 @@ def test_one_damaged_message_is_one_frame(tmp_path: Path, damage: dict[str, Any]
     assert f"run: {topics['cam2']}" in str(frames[1].error)
 
 
+def test_a_stamp_that_was_not_set_is_no_time(tmp_path: Path) -> None:
+    """The first camera's driver sets it late, the second's stops early: these are not of one moment."""
+    steps = {"cam1": range(1, 20), "cam2": range(19)}
+    messages = [
+        (f"/{name}/image", TIME + step * 10**8 if step in steps[name] else 0, TIME, PICTURE)
+        for name in RIG.names
+        for step in range(20)
+    ]
+    source = open_source(str(write_bag(tmp_path / "run", messages)), RIG)
+    assert source.names(Selection()) == [str(TIME + step * 10**8) for step in range(1, 19)]
+
+
 TOPICS: dict[str, tuple[list[str], tuple[str, str], dict[str, str] | None]] = {
     "names between slashes": (["/b/image", "/a/image"], ("a", "b"), {"a": "/a/image", "b": "/b/image"}),
     "names as words": (
@@ -224,29 +236,10 @@ def test_what_is_no_bag_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         open_source(str(path), RIG, frames=[1])
     with pytest.raises(MissingFileError, match=r"missing\.mcap"):
         open_source(str(tmp_path / "missing.mcap"), RIG)
-    whole = next(path.glob("*.mcap")).read_bytes()
-    contents = {
-        "empty.bag": b"",
-        "empty.mcap": b"",
-        "empty.db3": b"",
-        "cut.mcap": whole[:-50],
-        "no.db3": b"SQLite" * 99,
-    }
-    for seed in range(12):
-        flipped = bytearray(whole)
-        for position in np.random.default_rng(seed).integers(100, len(whole) - 1, 30):
-            flipped[position] ^= 255
-        contents[f"flipped{seed}.mcap"] = bytes(flipped)
-    for name, content in contents.items():
-        (tmp_path / name).write_bytes(content)
-        try:  # what is not noticed when the bag is opened is frames that say what is wrong
-            frames = list(open_source(str(tmp_path / name), RIG).frames(Selection(), lambda _: True))
-        except (FileFormatError, ArgumentError, MissingFileError) as error:
-            if name in str(error):
-                continue
-            raise
-        assert name.startswith("flipped")
-        assert all(frame.images is not None or isinstance(frame.error, FileFormatError) for frame in frames)
+    for name in ("empty.bag", "empty.mcap", "empty.db3"):
+        (tmp_path / name).touch()
+        with pytest.raises(FileFormatError, match=name):
+            open_source(str(tmp_path / name), RIG)
     monkeypatch.setattr("sphericalvision.capture.sources.bags.find_spec", lambda name: None)
     with pytest.raises(ArgumentError, match=r"pip install rosbags"):
         open_source(str(path), RIG)

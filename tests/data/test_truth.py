@@ -120,7 +120,7 @@ def test_points_are_read_from_every_format(tmp_path: Path) -> None:
     np.save(tmp_path / "d.npy", np.vstack((points, np.full((1, 3), np.nan))))
     trimesh.PointCloud(points).export(tmp_path / "e.ply")
     (tmp_path / "f.csv").write_text(
-        "time;Y;Z;X\n" + "".join(f"17;{y};{z};{x}\n" for x, y, z in points.tolist())
+        "time stamp [s];Y [m];Z;X\n" + "".join(f"17;{y};{z};{x}\n" for x, y, z in points.tolist())
     )
     (tmp_path / "g.csv").write_text("".join(f"{x},{y},{z},9\n" for x, y, z in points.tolist()))
     (tmp_path / "h.xyz").write_text(
@@ -189,6 +189,7 @@ def test_files_that_hold_no_points_are_refused_by_name(tmp_path: Path) -> None:
         read_points(tmp_path / "packed.pcd")
     whole = tmp_path / "whole.pcd"
     write_pcd(whole, np.ones((2, 3)), "binary")
+    write_pcd(tmp_path / "text.pcd", np.ones((2, 3), int), "ascii")
     for name, content in {
         "cut.pcd": whole.read_bytes()[:-5],
         "head.pcd": b"VERSION 0.7\n",
@@ -197,6 +198,10 @@ def test_files_that_hold_no_points_are_refused_by_name(tmp_path: Path) -> None:
         "x.las": b"",
         "commas.xyz": b"1,5 2,5 3,5\n",
         "degrees.csv": b"lon,lat,height\n1,2,3\n",
+        "millimetres.csv": b"x [mm],y [mm],z [mm]\n1,2,3\n",
+        "millimetres.xyz": b"# x[mm] y[mm] z[mm]\n1 2 3\n",
+        "millimetres.pcd": whole.read_bytes().replace(b"TYPE F F F F", b"TYPE F I I I"),
+        "text.pcd": (tmp_path / "text.pcd").read_bytes().replace(b"TYPE F F F F", b"TYPE F I I I"),
         "short.csv": b"1,2\n",
         "cut.ply": ply("float", 2_000_000_000),
         "millimetres.ply": ply("int", 1),

@@ -61,4 +61,4 @@ def test_words_tell_no_time_and_small_numbers_may_be_counts() -> None:
     assert seconds(["cloud_12_250000000", "12_5"]) == [12.25, pytest.approx(12.000000005, abs=1e-10)]
     assert are_counts(["000001", "12"])
     assert not are_counts(["000001", "12.0"])
-    assert nearest_in_time([1.0, None], []) == [None, None]
+    assert nearest_in_time([1.0, None], [], float("inf")) == [None, None]

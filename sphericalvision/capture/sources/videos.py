@@ -86,7 +86,7 @@ def read_streams(file: str | Path) -> list[VideoStream]:
     with _open(path) as container:
         streams = _streams(container)
         packets: dict[int, list[_Packet]] = {stream.index: [] for stream in streams}
-        for packet in _packets(container, streams):
+        for packet in _packets(container, streams) if streams else ():  # of none PyAV would give all
             if packet.size and not packet.is_discard:
                 stamp = packet.dts if packet.pts is None else packet.pts
                 packets[packet.stream.index].append(_Packet(stamp, packet.is_keyframe, packet.is_corrupt))
@@ -170,7 +170,11 @@ def _open(path: Path) -> Iterator[Any]:
 def _streams(container: Any) -> list[Any]:
     from av.stream import Disposition
 
-    return [stream for stream in container.streams.video if not stream.disposition & Disposition.attached_pic]
+    videos = container.streams.video
+    streams = [stream for stream in videos if not stream.disposition & Disposition.attached_pic]
+    if any(stream.codec_context is None for stream in streams):
+        raise FileFormatError(f"{container.name}: PyAV knows no decoder of this video; convert it to H.264")
+    return streams
 
 
 def _packets(container: Any, streams: Any) -> Iterator[Any]:

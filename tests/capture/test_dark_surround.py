@@ -8,7 +8,7 @@ import math
 import pytest
 import torch
 
-from sphericalvision.cameras import FisheyeCamera, ring_rig
+from sphericalvision.cameras import CameraRig, FisheyeCamera, ring_rig
 from sphericalvision.capture.preparation.dark_surround import dark_beyond, without_dark_surround
 from sphericalvision.scenes import make_scene, render_rig
 
@@ -52,7 +52,8 @@ def test_what_is_not_clear_is_left_alone() -> None:
     overlay[:, 140:150, 70:90] = 1.0  # a date in the dark part
     for images in ([bright], [fading], [night], [overlay], [edge, bright], [0 * bright]):
         assert dark_beyond(WIDE, images) is None
-    assert dark_beyond(WIDE, [edge], circle(90) > 0) is None  # masked already
+    masked = CameraRig({"wide": WIDE}, torch.eye(4)[None], {"wide": circle(90) > 0})  # already
+    assert without_dark_surround(masked, [{"wide": edge}]) == (masked, {})
     angle = dark_beyond(WIDE, [edge])
     assert angle is not None
     assert math.degrees(angle) == pytest.approx(90, abs=2)

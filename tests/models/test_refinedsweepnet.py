@@ -17,14 +17,18 @@ from sphericalvision.icosphere.hierarchy import icosphere_vertex_parents
 from sphericalvision.kernels import kernels
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import IcoSweepNet, RefinedSweepNet, pretrained
-from sphericalvision.models.candidate_refinement import RARE, candidates_of
+from sphericalvision.models.candidate_refinement import RARE, CandidateRefinement, Candidates, candidates_of
 from sphericalvision.models.hexunet import HexUNet
 from sphericalvision.models.logit_fusion import FusedLogits
 from sphericalvision.models.refinedsweepnet import FARTHEST
 from sphericalvision.models.tried_hypotheses import two_modes
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.sweep import DepthHint, index_from_depth, inverse_depth_from_index
-from sphericalvision.sweep.appearance_at_depth import appearance_around, appearance_at_depth
+from sphericalvision.sweep.appearance_at_depth import (
+    AppearanceAtDepth,
+    appearance_around,
+    appearance_at_depth,
+)
 from sphericalvision.sweep.ring_mean import ids_of_coarser_level
 
 PRIOR = {
@@ -253,6 +257,20 @@ def test_an_answer_goes_no_farther_than_to_neighbours():
     around = torch.zeros(grid.num_vertices, dtype=torch.bool)
     around[[0, *(vertex for vertex in grid.neighbors[0].tolist() if vertex >= 0)]] = True
     assert torch.equal(nearest > 3, around[parents].any(-1))
+
+
+@pytest.mark.parametrize(("weight", "second"), [(0.1, 9.0), (0.01, 3.0)])
+def test_what_is_not_chosen_remains_if_it_is_plausible(weight, second):
+    """Else the second answer of the level before does, the last of the candidates."""
+    refinement, shape = CandidateRefinement(2), (1, 4, 42)
+    with torch.no_grad():
+        refinement.exit.bias[:4] = torch.tensor([1 - weight, weight, 1e-9, 1e-9]).log()
+    index = torch.tensor([1.0, 9.0, 1.0, 3.0])[None, :, None].expand(shape)
+    candidates = Candidates(index, torch.ones(shape), torch.zeros(1, 42), torch.zeros(1, 42))
+    appearance = AppearanceAtDepth(torch.ones(1, 4, 3, 42), torch.ones(shape), torch.full(shape, 2))
+    result = refinement(candidates, appearance, torch.zeros(1, 2, 12), 31)
+    torch.testing.assert_close(result.index, torch.full((1, 42), 1 + 8 * weight))
+    torch.testing.assert_close(result.second, torch.full((1, 42), second))
 
 
 def test_a_vertex_between_two_takes_the_second_answer_of_the_first_one():

@@ -59,6 +59,6 @@ class DepthDataModule(SampleDataModule):
         elif not on_sphere:
             usual.append("depth")
         depth_level = own_level if depth_level is None else depth_level
-        level = net.level if on_sphere else depth_level + 2
+        level = net.image_level if on_sphere else depth_level + 2
         self.min_depth = net.min_depth
         self.view = view_with(self.entries or (*usual, *more), SampleView(level, depth_level, True, panorama))

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.icosphere import level_from_num_vertices
+from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.models import DepthNetwork
 from sphericalvision.scenes.samples import images_as_floats
-from sphericalvision.sweep.ring_mean import ids_of_coarser_level
+from sphericalvision.sweep.ring_mean import coarser_images, ids_of_coarser_level
 
 __all__ = ["images_of", "truth_of"]
 
@@ -22,6 +22,8 @@ Sample = dict[str, Any]
 def images_of(batch: Sample, net: DepthNetwork) -> tuple[Tensor, Tensor | None]:
     """The images of a batch that a network takes, and what of them was seen (None where samples do not tell).
 
+    Those on a finer icosphere than it looks at, for a network that it is compared with, are averaged.
+
     Raises:
         ArgumentError: these samples do not hold them.
     """
@@ -29,7 +31,11 @@ def images_of(batch: Sample, net: DepthNetwork) -> tuple[Tensor, Tensor | None]:
     images = _entry(batch, key, net)
     if images.dtype == torch.uint8:
         images = images_as_floats(images, batch[seen])
-    return images, batch.get(seen)
+    visible = batch.get(seen)
+    if net.images == "sphere" and visible is not None:
+        while images.shape[-1] > num_icosphere_vertices(net.image_level):
+            images, visible = coarser_images(images, visible)
+    return images, visible
 
 
 def truth_of(batch: Sample, net: DepthNetwork) -> tuple[Tensor, Tensor]:

@@ -138,7 +138,8 @@ class DepthModule(TrainingModule):
         if self.net.images == "camera" or images is None:
             return self.net, self.tables, self.training_loss
         level = level_from_num_vertices(images.shape[-1])
-        if level == self.net.level:
+        has_coarser_truth = batch["inverse_depth"].shape[-1] < images.shape[-1]
+        if level == self.net.level or (level == self.net.image_level and has_coarser_truth):
             return self.net, self.tables, self.training_loss
         if level not in self._others:  # not before the network has been moved to its device
             net = self.net.at_level(level)

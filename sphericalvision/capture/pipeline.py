@@ -82,7 +82,7 @@ class Pipeline:
         self.tables, self.intake = network.tables(rig), network.intake(rig)
         self._compensator = Compensator(rig, [look.shrink for look in self.intake.lookups])
         if network.images == "sphere":
-            vertices = icosphere_vertices(network.level, torch.float32, network.device)
+            vertices = icosphere_vertices(network.image_level, torch.float32, network.device)
             directions = vertices.to(rig.world_from_camera) @ rig.world_from_camera[:, :3, :3]
             self._angles = angle_from_axis(directions).float()
         else:

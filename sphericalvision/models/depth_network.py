@@ -270,7 +270,7 @@ class DepthNetwork(RemembersArguments):
         Raises:
             ShapeError: the network takes images as they are, and their sizes differ.
         """
-        return Intake(rig, Icosphere(self.level) if self.images == "sphere" else None, antialias)
+        return Intake(rig, Icosphere(self.image_level) if self.images == "sphere" else None, antialias)
 
     def tables(self, rig: CameraRig) -> Any:
         """Return what may be passed in place of a rig, as often as wanted, to compute once what follows from it."""
@@ -291,17 +291,18 @@ class DepthNetwork(RemembersArguments):
         weight = next((value for value in self.parameters() if value.is_floating_point()), None)
         if weight is not None:
             check_dtype("images", images, weight)
-        size = (num_icosphere_vertices(self.level),) if on_sphere else images.shape[3:]
+        levels = sorted({self.level, self.image_level}) if on_sphere else []
+        sizes = [(num_icosphere_vertices(level),) for level in levels] or [images.shape[3:]]
         if (
             images.ndim != (4 if on_sphere else 5)
-            or images.shape[3:] != size
+            or images.shape[3:] not in sizes
             or images.shape[2] not in self.image_channels
             or (images.shape[1] != self.num_cameras and not self.any_cameras)
         ):
             cameras = "n" if self.any_cameras else self.num_cameras
             channels = " or ".join(map(str, self.image_channels))
-            last = size[0] if on_sphere else "H, W"
-            where = f" on icospheres of level {self.level}" if on_sphere else ""
+            last = " or ".join(str(size[0]) for size in sizes) if on_sphere else "H, W"
+            where = f" on icospheres of level {' or '.join(map(str, levels))}" if on_sphere else ""
             raise ShapeError(
                 f"images: expected shape (B, {cameras}, {channels}, {last}) for {cameras} cameras{where}, "
                 f"got {tuple(images.shape)}"
@@ -316,6 +317,11 @@ class DepthNetwork(RemembersArguments):
             raise ArgumentError(
                 f"hint: {type(self).__name__} takes none; leave it out, or take RefinedSweepNet"
             )
+
+    @property
+    def image_level(self) -> int:
+        """Level of the finest images that this network looks at, those of ``intake``; images of ``level`` will do."""
+        return self.level
 
     @property
     def depth_level(self) -> int | None:

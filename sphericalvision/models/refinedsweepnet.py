@@ -133,7 +133,8 @@ class RefinedSweepNet(DepthNetwork):
         blocks: residual blocks of the U-Net, one number or one a level.
         refining_blocks: residual blocks of the refinement.
         coarse_level: of clues and fusion, at most ``level - 1``, which it is when not given.
-        details: whether steps of the refinement, but for the last, look at boundaries in images one level finer.
+        details: whether each step of the refinement looks at boundaries in images one level finer, where there are
+            any: ``image_level`` is ``level + 1`` then.
 
     Raises:
         ArgumentError: for no widths, or a level, or ``coarse_level + 1``, below their number.
@@ -211,11 +212,18 @@ class RefinedSweepNet(DepthNetwork):
         net.prior.requires_grad_(train_prior)
         return net
 
+    @property
+    def image_level(self) -> int:
+        """Level of the finest images that this network looks at; images of ``level`` will do."""
+        return self.level + (self.refinement.details is not None)
+
     def tables(self, rig: CameraRig) -> RefinedTables:
         """Return where each camera sees every point that is tried, to be passed in place of the rig."""
         rig = rig.to(self.device)
         sweep = semi_global_tables(rig, self.inner_hypotheses, self.min_depth, self.coarse_level + 1)
-        seen = sweep.seen if self.level == self.coarse_level + 1 else seen_in_view(rig, self.level)
+        seen = (
+            sweep.seen if self.image_level == self.coarse_level + 1 else seen_in_view(rig, self.image_level)
+        )
         return RefinedTables(
             sweep, self.prior.tables(rig), _offsets(rig).to(self.up), seen.to(sweep.seen.device)
         )
@@ -229,8 +237,8 @@ class RefinedSweepNet(DepthNetwork):
         self, images: Tensor, rig: CameraRig | RefinedTables, seen: Tensor | None, hint: DepthHint | None
     ) -> tuple[DepthEstimate, Tensor | None]:
         tables = rig if isinstance(rig, RefinedTables) else self.tables(rig)
-        check_tables(tables.seen, images)
-        views = self.views(images, tables.seen if seen is None else seen)
+        seen_in_views = self._seen(tables, images)
+        views = self.views(images, seen_in_views if seen is None else seen)
         coarse, coarse_seen = views[0]
         clues = self.clues(coarse, tables, coarse_seen)
         hints = self.hints(hint)
@@ -247,11 +255,19 @@ class RefinedSweepNet(DepthNetwork):
         images: Float[Tensor, "B n 3 V_image"],
         seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"],
     ) -> list[tuple[Tensor, Tensor]]:
-        """Return images and what of them was seen at each level from ``coarse_level + 1`` to ``level``."""
+        """Return images and what of them was seen at each level from ``coarse_level + 1`` to that of the images."""
         views = [(images, check_seen(seen, images))]
-        for _ in range(self.coarse_level + 1, self.level):
+        for _ in range(self.coarse_level + 1, level_from_num_vertices(images.shape[-1])):
             views.insert(0, coarser_images(*views[0]))
         return views
+
+    def _seen(self, tables: RefinedTables, images: Tensor) -> Tensor:
+        """What tables say of images of ``level`` or ``image_level``; of others there is a ``ShapeError``."""
+        if self.image_level > self.level and images.shape[-1] == self.grid.num_vertices:
+            ids = ids_of_coarser_level(self.image_level, self.level, images.device)
+            return tables.seen.index_select(-1, ids)
+        check_tables(tables.seen, images)
+        return tables.seen
 
     def hints(self, hint: DepthHint | None) -> list[HintedIndex] | list[None]:
         """Return a hint in inner hypotheses at each level from ``coarse_level`` to ``level``; Nones for none."""
@@ -308,19 +324,20 @@ class RefinedSweepNet(DepthNetwork):
         hints: Sequence[HintedIndex | None] | None = None,
         modes: tuple[Tensor, Tensor] | None = None,
     ) -> list[RefinedIndex]:
-        """Return the answers at all levels from ``coarse_level + 1`` to that of the images, in inner hypotheses.
+        """Return the answers at all levels from ``coarse_level + 1`` to ``level``, in inner hypotheses.
 
         Args:
             fused: of ``fuse``.
-            views: of the method of that name, a step each.
+            views: of the method of that name, a step each; one finer than ``level`` has details for the last.
             offsets: of the tables.
-            hints: at the levels of the views; none when not given.
+            hints: at these levels; none when not given.
             modes: ``two_modes`` of the fused logits, where they are known.
         """
         answers, trust = [], fused.trust
         if hints is not None and trust is not None:  # one that the images refuse is no candidate
             hints = [None if hint is None else hint.trusted(trust) for hint in hints]
-        for number, (images, seen) in enumerate(views):
+        steps = self.level - self.coarse_level
+        for number, (images, seen) in enumerate(views[:steps]):
             candidates = candidates_of(fused, modes, None if hints is None else hints[number])
             appearance = self._appearance(candidates.index, images, seen, offsets)
             around = None
@@ -330,7 +347,7 @@ class RefinedSweepNet(DepthNetwork):
                 candidates, appearance, fused.state, self.inner_hypotheses, around
             )
             answers.append(refined)
-            if number + 1 < len(views):
+            if number + 1 < steps:
                 fused, modes = finer_logits(fused, refined.index), (refined.index, refined.second)
         return answers
 
@@ -353,8 +370,8 @@ class RefinedSweepNet(DepthNetwork):
         images: Float[Tensor, "B n 3 V_image"],
         rig: CameraRig | RefinedTables | list[CameraRig],
         seen: Bool[Tensor, "B n V_image"] | None,
-        target: Float[Tensor, "B V_image"],
-        valid: Bool[Tensor, "B V_image"],
+        target: Float[Tensor, "B V"],
+        valid: Bool[Tensor, "B V"],
         loss: Callable[..., Tensor],
         hint: DepthHint | None = None,
         clues: SweepClues | None = None,
@@ -377,8 +394,9 @@ class RefinedSweepNet(DepthNetwork):
         """
         if clues is None or seen is None:
             tables = rig if isinstance(rig, RefinedTables) else self.tables(rig)  # type: ignore[arg-type]
-            check_tables(tables.seen, images)
-            views, offsets = self.views(images, tables.seen if seen is None else seen), tables.offsets
+            seen_in_views = self._seen(tables, images)
+            views = self.views(images, seen_in_views if seen is None else seen)
+            offsets = tables.offsets
             clues = self.clues(views[0][0], tables, views[0][1])
         else:
             views = self.views(images, seen)

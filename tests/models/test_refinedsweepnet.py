@@ -377,14 +377,26 @@ def test_details_change_nothing_before_training_and_learn_where_images_are_finer
         ):
             assert torch.equal(one, other)
     torch.nn.init.normal_(detailed.refinement.exit.weight, 0, 0.1)
-    for level, learns in ((LEVEL, True), (LEVEL - 1, False)):
-        at_level, ids = detailed.at_level(level), ids_of_coarser_level(LEVEL, level)
-        views = images[..., ids], rig, seen[..., ids], true[:, ids], true[:, ids] > 0, depth_index_huber
+    coarser, ids = detailed.at_level(LEVEL - 1), ids_of_coarser_level(LEVEL, LEVEL - 1)
+    assert (detailed.image_level, coarser.image_level, plain.image_level) == (LEVEL + 1, LEVEL, LEVEL)
+    of_images = {LEVEL: (images, seen), LEVEL - 1: (images[..., ids], seen[..., ids])}
+    for network, level, learns in (
+        (detailed, LEVEL, True),
+        (coarser, LEVEL, True),
+        (coarser, LEVEL - 1, False),
+    ):
+        target = true if network is detailed else true[:, ids]
+        views, visible = of_images[level]
+        with torch.inference_mode():  # of tables of finer images, too
+            estimate = network.predict(views, network.tables(rig))
+        assert estimate.index.shape == target.shape
         detailed.zero_grad()
-        at_level.training_loss(*views).backward()
+        network.training_loss(views, rig, visible, target, target > 0, depth_index_huber).backward()
         gradient = detailed.refinement.details.weight.grad  # of several processes each wants one
         assert gradient is not None
         assert bool(gradient.any()) == learns
+    with pytest.raises(ShapeError, match="642 or 2562"):
+        coarser.predict(images[..., :162], rig)
 
 
 def test_unet_keeps_levels_apart_at_first():

@@ -93,6 +93,7 @@ FAULTS = (
         "data=omnistereo data.root=x data.tilts_degs=[0,9]",
         "in this configuration; data has entries, ",
     ),
+    ("train", "data=random_rigs_levels data.levels.5.times=1", "write 'data.levels={5:{times:...}}'"),
     ("train", "data=omnithings", "data.root=..."),
     ("train", "seed", "seed: expected KEY=VALUE"),
     ("train", "logger=mlfow", "known are"),

@@ -55,14 +55,10 @@ def _collate_values(key: str, values: list[Any]) -> Any:
             )
         return torch.stack(values)
     if isinstance(first, CameraRig):
-        return _stacked_rigs(values)
+        try:
+            return CameraRig.stack(values)
+        except ArgumentError:  # fisheyes and panoramas, for instance, have no parameters to put side by side
+            return values
     if isinstance(first, Mapping):
         return {name: _collate_values(f"{key}.{name}", [value[name] for value in values]) for name in first}
     return values
-
-
-def _stacked_rigs(rigs: list[CameraRig]) -> CameraRig | list[CameraRig]:
-    try:
-        return CameraRig.stack(rigs)
-    except ArgumentError:  # fisheyes and panoramas, for instance, have no parameters to put side by side
-        return rigs

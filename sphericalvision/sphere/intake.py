@@ -206,16 +206,10 @@ def ordered_images(images: Mapping[str, Any], rig: CameraRig) -> dict[str, Shape
             f"images: expected a mapping {{camera name: image}}, got {type(images).__name__}; "
             "dict(zip(rig.names, images)) makes one of a list in the rig's order"
         )
-    missing = [name for name in rig.names if name not in images]
-    if missing:
+    if set(images) != set(rig.names):
         raise ArgumentError(
-            f"images: there is none of {', '.join(missing)}; the rig has {', '.join(rig.names)}, the images are of "
-            f"{', '.join(map(str, images)) or 'no camera'}. rig.subset([...]) is a rig of fewer cameras"
-        )
-    unknown = [str(name) for name in images if name not in rig.cameras]
-    if unknown:
-        raise ArgumentError(
-            f"images: {', '.join(unknown)} are no cameras of the rig ({', '.join(rig.names)})"
+            f"images: expected one for each of {', '.join(rig.names)}, got {', '.join(map(str, images)) or 'none'}; "
+            "rig.subset([...]) is a rig of fewer cameras"
         )
     ordered = {name: _channels_first(name, images[name], rig.cameras[name].image_size) for name in rig.names}
     batches = {name: tuple(image.shape[:-3]) for name, image in ordered.items()}

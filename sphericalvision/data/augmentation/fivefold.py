@@ -80,7 +80,8 @@ class RotateFivefold:
             steps = int(torch.randint(5, (), generator=self.generator))
         turned = moved_on_icosphere(sample, lambda values: rotate_fivefold(values, steps))
         turned |= {key: _rolled(key, sample[key], steps) for key in ON_PANORAMA if key in sample}
-        return {**sample, **turned, "rig": _turned(sample["rig"], steps)}
+        rotation = yaw_rotation(yaw_angle(torch.tensor(steps), 5)).to(sample["rig"].world_from_camera)
+        return {**sample, **turned, "rig": sample["rig"].rotated(rotation=rotation)}
 
     def __repr__(self) -> str:
         return f"RotateFivefold(steps={self.steps})"
@@ -93,12 +94,6 @@ def _rolled(key: str, panorama: Tensor, steps: int) -> Tensor:
             f"{key}: expected a width that is a multiple of 5, so that 72 degrees are whole columns, got {width}"
         )
     return panorama.roll(steps * (width // 5), -1)
-
-
-def _turned(rig: CameraRig, steps: int) -> CameraRig:
-    """The rig turned about the world's vertical through the origin."""
-    rotation = yaw_rotation(yaw_angle(torch.tensor(steps), 5))
-    return rig.rotated(rotation=rotation.to(rig.world_from_camera))
 
 
 class Mirror:

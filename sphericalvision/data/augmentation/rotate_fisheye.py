@@ -78,8 +78,15 @@ class RotateFisheye:
             raise ArgumentError("RotateFisheye: expected images by camera name; it belongs before ToSphere")
         check_images_of(rig, images)
         if self._before is not rig:
-            self._before, self._remaps = rig, self._make_remaps(rig)
-            self._after = self._masked(self.turned(rig))
+            after = self.turned(rig)
+            before_from_world = rig.world_from_camera[..., :3, :3].mT
+            after_from_before = (before_from_world @ after.world_from_camera[..., :3, :3]).mT
+            self._remaps = {
+                name: Remap(rig.cameras[name], after.cameras[name], turn, self.mode, mask=rig.masks.get(name))
+                for name, turn in zip(rig.names, after_from_before, strict=True)
+            }
+            masks = {name: remap.mask() for name, remap in self._remaps.items()}
+            self._before, self._after = rig, after.replaced(masks=masks)
             self._seen = pixels_seen(self._after)
         turned = {name: self._remaps[name](images[name]) for name in rig.names}
         return {**sample, "images": turned, "seen": dict(self._seen), "rig": self._after}
@@ -91,19 +98,6 @@ class RotateFisheye:
             poses[..., :3, :3] = poses[..., :3, :3] @ self.rotation.to(poses)
         turned = rig.replaced(world_from_camera=poses, masks={})
         return turned if self.image_size is None else turned.resized(self.image_size)
-
-    def _make_remaps(self, rig: CameraRig) -> dict[str, Remap]:
-        after = self.turned(rig)
-        before_from_world = rig.world_from_camera[..., :3, :3].mT
-        after_from_before = (before_from_world @ after.world_from_camera[..., :3, :3]).mT
-        return {
-            name: Remap(rig.cameras[name], after.cameras[name], turn, self.mode, mask=rig.masks.get(name))
-            for name, turn in zip(rig.names, after_from_before, strict=True)
-        }
-
-    def _masked(self, after: CameraRig) -> CameraRig:
-        masks = {name: self._remaps[name].mask() for name in after.names}
-        return after.replaced(masks=masks)
 
     def __repr__(self) -> str:
         return f"RotateFisheye(tilt={self.tilt}, rotation={self.rotation}, image_size={self.image_size})"

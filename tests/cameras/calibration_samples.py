@@ -190,6 +190,8 @@ def matrix(fx: float, fy: float, cx: float, cy: float) -> list[list[float]]:
 
 # Samples that are put together ----------------------------------------------------------------------------------------
 
+KINECT = [7.27, 12.43, 2.5e-4, -1.1e-4, 3.94, 7.56, 14.2, 7.7]
+"""Distortion of a rational lens: large terms that all but cancel."""
 PLANE, KB4 = [190.98, 190.97, 254.93, 256.9], [0.0035, 0.0007, -0.002, 0.0002]
 MATRIX = [[300.5, 0.0, 159.25], [0.0, 301.0, 120.75], [0.0, 0.0, 1.0]]
 OMNIDIR = [[400.0, 0.0, 320.5], [0.0, 401.0, 240.25], [0.0, 0.0, 1.0]]

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 
-import cv2
 import numpy as np
 import pytest
 import torch
@@ -16,29 +15,15 @@ from sphericalvision.cameras import (
     project_brown_conrady,
     unproject_brown_conrady,
 )
+from tests.cameras.calibration_samples import KINECT, matrix, opencv_plain
 
 FOCAL, CENTER, SIZE = [500.0, 510.0], [320.0, 240.0], (481, 641)
-KINECT = [
-    7.27,
-    12.43,
-    2.5e-4,
-    -1.1e-4,
-    3.94,
-    7.56,
-    14.2,
-    7.7,
-]  # a rational lens: large terms that all but cancel
-MATRIX = np.array([[FOCAL[0], 0, CENTER[0]], [0, FOCAL[1], CENTER[1]], [0, 0, 1]])
+MATRIX = matrix(*FOCAL, *CENTER)
 
 
 def lens(distortion: list[float], size: tuple[int, int] = SIZE) -> BrownConradyCamera:
     tensors = (torch.tensor(values, dtype=torch.float64) for values in (FOCAL, CENTER, distortion))
     return BrownConradyCamera(*tensors, size)
-
-
-def opencv_pixels(points: Tensor, distortion: list[float]) -> np.ndarray:
-    zero = np.zeros(3)
-    return cv2.projectPoints(points.numpy()[:, None], zero, zero, MATRIX, np.array(distortion))[0][:, 0]
 
 
 @pytest.mark.parametrize("tangential", [0.0, 0.01])
@@ -54,7 +39,7 @@ def test_ends_where_the_determinant_vanishes(tangential: float) -> None:
         plane = torch.tensor(np.stack((radius * np.cos(azimuth), radius * np.sin(azimuth)), -1))
         shifts = torch.tensor([[step, 0.0], [-step, 0.0], [0.0, step], [0.0, -step]], dtype=torch.float64)
         places = torch.nn.functional.pad((plane[:, None] + shifts).reshape(-1, 2), (0, 1), value=1.0)
-        moved = opencv_pixels(places, distortion).reshape(-1, 4, 2)
+        moved = opencv_plain(places.numpy(), MATRIX, distortion).reshape(-1, 4, 2)
         along_x, along_y = moved[:, 0] - moved[:, 1], moved[:, 2] - moved[:, 3]
         positive = along_x[:, 0] * along_y[:, 1] - along_x[:, 1] * along_y[:, 0] > 0
         first = np.cumprod(positive).astype(bool)

@@ -33,6 +33,7 @@ from sphericalvision.cameras import (
     convert,
 )
 from tests.cameras.calibration_samples import (
+    KINECT,
     assert_projects,
     circle,
     directions,
@@ -54,8 +55,6 @@ K = [0.01, 0.02, -0.003, 0.004, -0.0005, 0.0001]
 TERMS = [0.0031, -0.0042, 0.0051, -0.0006, 0.0072, 0.0008]
 OPENCV = [-0.28, 0.07, 1.1e-3, -7e-4, 0.01, 0.05, -0.02, 3e-3, 1e-3, -5e-4, 8e-4, 2e-4, 0.03, -0.02]
 """k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 τx τy."""
-KINECT = [7.27, 12.43, 2.5e-4, -1.1e-4, 3.94, 7.56, 14.2, 7.7]
-"""A rational lens: large terms that all but cancel."""
 MEI = [-0.1, 0.02, 1e-3, -7e-4]
 KITTI = (2.2134047507854890, [1.6798235660113681e-02, 1.6548773243373522, 0.0, 0.0, 0.0])
 """KITTI-360, image_02: a lens of 185°, without its tangential distortion."""

@@ -14,7 +14,6 @@ from sphericalvision.data.omnistereo.writer import ocam_from_camera
 
 
 def cameras() -> dict[str, object]:
-    double = {"dtype": torch.float64}
     return {
         "equidistant": FisheyeCamera.from_field_of_view((800, 768), math.radians(220)),
         "equisolid": FisheyeCamera.from_field_of_view((800, 768), math.radians(220), projection="equisolid"),
@@ -22,19 +21,10 @@ def cameras() -> dict[str, object]:
             (800, 768), math.radians(185), projection="stereographic"
         ),
         "two scales": FisheyeCamera(
-            "equidistant",
-            torch.tensor([200.0, 210.0], **double),
-            torch.tensor([390.0, 401.5], **double),
-            (800, 768),
-            math.radians(100),
+            "equidistant", [200.0, 210.0], [390.0, 401.5], (800, 768), math.radians(100)
         ),
         "double sphere": DoubleSphereCamera(
-            torch.tensor([300.0, 300.0], **double),
-            torch.tensor([610.0, 600.0], **double),
-            torch.tensor(-0.2, **double),
-            torch.tensor(0.6, **double),
-            (1216, 1216),
-            math.radians(100),
+            [300.0, 300.0], [610.0, 600.0], -0.2, 0.6, (1216, 1216), math.radians(100)
         ),
     }
 

@@ -153,20 +153,11 @@ def exports(camera: Camera) -> None:
 def law_gradients_are_right(camera: Camera) -> None:
     """Finite differences in float64 with respect to points, pixels and intrinsics, on the axis too."""
     camera = camera.to(torch.float64)
-    names = [name for name in camera.intrinsic_names if getattr(camera, name) is not None]
-    tensors = [getattr(camera, name).detach() for name in names]
-    scales = [
-        torch.where(tensor == 0, 1.0, tensor.abs()) for tensor in tensors
-    ]  # powers of pixels differ vastly
-    changes = [torch.zeros_like(tensor, requires_grad=True) for tensor in tensors]
+    changes = [torch.zeros_like(tensor, requires_grad=True) for tensor in intrinsics_of(camera)[1]]
     seen = directions_seen(camera)
     axis = seen.new_tensor([[0.0, 0.0, 1.0], [0.0, 0.0, 2.5]])
     points = torch.cat((axis, seen[:: len(seen) // 5])).requires_grad_()
     pixels = camera.project(points.detach()).pixels.requires_grad_()
-    for name, values in (("project", points), ("unproject", pixels)):
-
-        def call(values: Tensor, *changes: Tensor, name: str = name) -> Tensor:
-            changed = [t + c * s for t, c, s in zip(tensors, changes, scales, strict=True)]
-            return getattr(replaced(camera, names, changed), name)(values)[0]
-
+    for verb, values in zip(BOTH, (points, pixels), strict=True):
+        call = _function(camera, verb)
         assert torch.autograd.gradcheck(call, (values, *changes), eps=1e-6, atol=2e-4, rtol=1e-4)

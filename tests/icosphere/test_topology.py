@@ -74,17 +74,6 @@ def test_convention_vertex_order() -> None:
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_chart_borders_are_shared(level: int) -> None:
-    """Places of neighbouring charts with one vertex id have one position: cells are small everywhere."""
-    n = 2**level
-    places = icosphere_vertices(level, torch.float64)[chart_vertex_ids(level)]
-    longest = 1.4 / n
-    assert (places[:, 1:] - places[:, :-1]).norm(dim=-1).max() < longest
-    assert (places[:, :, 1:] - places[:, :, :-1]).norm(dim=-1).max() < longest
-    assert (places[:, 1:, :-1] - places[:, :-1, 1:]).norm(dim=-1).max() < longest
-
-
-@pytest.mark.parametrize("level", LEVELS)
 def test_neighbors(level: int) -> None:
     neighbors, vertices = icosphere_neighbors(level), icosphere_vertices(level, torch.float64)
     faces = icosphere_faces(level).tolist()

@@ -15,22 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sphericalvision.cameras import read_cameras, read_rig
-from sphericalvision.core import FileFormatError, MissingFileError
-from tests.cameras.calibration_samples import (
-    KEYED,
-    QUARTER_TURN,
-    TEXTS,
-    dump,
-    dumped,
-    kalibr,
-    read_everything,
-    sample,
-)
+from sphericalvision.cameras import read_cameras
+from sphericalvision.core import FileFormatError
+from tests.cameras.calibration_samples import KEYED, TEXTS, dumped, read_everything, sample
 
 JUNK: list[Any] = [
     "words", "", None, [], {}, [[]], float("nan"), float("inf"), -1.0, 0.0, 1e300, True, [1.0], {"a": 1},
@@ -124,46 +114,3 @@ def test_anything_in_place_of_a_value(data: st.DataObject) -> None:
         if not places(content):
             break
     survives(dumped(content, name), name)
-
-
-@pytest.mark.parametrize("damage", ["nan 0 0", "0 0", "2 0 0", "words 0 0"])
-def test_poses_of_folders(tmp_path: Path, damage: str) -> None:
-    dump(tmp_path / "image_02.yaml", sample("image_02.yaml"))
-    line = "image_02: " + " ".join(f"{' '.join(map(str, row))} 0" for row in QUARTER_TURN)
-    path = tmp_path / "calib_cam_to_pose.txt"
-    path.write_text(line.replace("0.0 0.0 -1.0", damage, 1))
-    with pytest.raises(FileFormatError, match="line 1, image_02"):
-        read_rig(tmp_path)
-
-
-def test_system_with_other_files_beside_it(tmp_path: Path) -> None:
-    dump(tmp_path / "MultiCamSys_Calibration.yaml", sample("system.yaml"))
-    for index in (0, 1):
-        (tmp_path / f"InteriorOrientationFisheye{index}.yaml").write_text("- 1\n- 2\n")
-    with pytest.raises(FileFormatError, match=r"InteriorOrientationFisheye0\.yaml: expected keys"):
-        read_rig(tmp_path)
-    (tmp_path / "InteriorOrientationFisheye0.yaml").unlink()
-    with pytest.raises(MissingFileError):
-        read_rig(tmp_path)
-
-
-def test_key_that_stands_twice_is_refused_with_its_line(tmp_path: Path) -> None:
-    path = tmp_path / "camchain.yaml"
-    path.write_text(yaml.safe_dump(kalibr("ds none")) + "cam0: {}\n")
-    with pytest.raises(FileFormatError, match=r"the key 'cam0' stands twice.*line \d+"):
-        read_rig(path)
-
-
-def test_yaml_runs_nothing(tmp_path: Path) -> None:
-    path = tmp_path / "camchain.yaml"
-    path.write_text("cam0: !!python/object/apply:os.system ['exit 1']\n")
-    with pytest.raises(FileFormatError, match="not valid YAML"):
-        read_rig(path)
-
-
-def test_missing_mask_is_named(tmp_path: Path) -> None:
-    content = sample("rig.yaml")
-    content["cameras"][0]["mask"] = "front.png"
-    dump(tmp_path / "rig.yaml", content)
-    with pytest.raises(MissingFileError, match=r"front\.png: no such file"):
-        read_rig(tmp_path / "rig.yaml")

@@ -31,6 +31,8 @@ GROUP = '<group id="0" label="second"><camera id="7" sensor_id="0" label="DSC_1"
 GROUP += "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1</transform></camera></group></cameras>"
 NO_POSE = {key: value for key, value in sample("FV.json").items() if key != "extrinsic"}
 NO_TRANSFORM = {key: value for key, value in sample("settings.yaml").items() if key != "Stereo.T_c1_c2"}
+MASKED = sample("rig.yaml")
+MASKED["cameras"][0]["mask"] = "front.png"
 ALL_BAD = sample("transforms.json")
 for _frame in ALL_BAD["frames"]:
     _frame["is_bad"] = True
@@ -85,10 +87,17 @@ REFUSED: list[tuple[Files, dict[str, Any], str, str]] = [  # files, what is give
      "line 2, image_02: expected 4 rows of 4 numbers, got 9"),
     ({f"{k}_FV.json": sample("FV.json", name="FV") for k in (1, 2)}, {}, ".",
      "a second camera named 'FV' (the first is in 1_FV.json)"),
+    *(({"calib_cam_to_pose.txt": f"image_02: {row}", "image_02.yaml": MEI}, {}, ".", "line 1, image_02")
+      for row in ("nan 0 0 0 0 1 0 0 0 0 1 0", "2 0 0 0 0 1 0 0 0 0 1 0", "words 0 0 0 0 1 0 0 0 0 1 0")),
     ({"FV.json": NO_POSE}, {}, "FV.json", "without poses"),
     ({"FV.json": NO_POSE}, {}, ".", "no pose of this camera"),
     ({name: MULTICOL[name] for name in MULTICOL if "1" not in name}, {}, ".",
      "InteriorOrientationFisheye1.yaml: no such file"),
+    (MULTICOL | {"InteriorOrientationFisheye0.yaml": "- 1\n- 2\n"}, {}, ".",
+     "InteriorOrientationFisheye0.yaml: expected keys"),
+    ({"camchain.yaml": "cam0: {}\ncam0: {}\n"}, {}, "camchain.yaml", "the key 'cam0' stands twice"),
+    ({"camchain.yaml": "cam0: !!python/object/apply:os.system ['exit 1']\n"}, {}, "camchain.yaml", "not valid YAML"),
+    ({"rig.yaml": MASKED}, {}, "rig.yaml", "front.png: no such file"),
     (vins(cam1_calib="other.yaml"), {}, "estimator.yaml", "other.yaml"),
     (vins(cam1_calib="note.yaml"), {}, "estimator.yaml", "estimator.yaml names it for cam1"),
     (vins(cam0_calib=3), {}, "estimator.yaml", "estimator.yaml, cam0_calib: expected the name of a file"),

@@ -305,6 +305,8 @@ CANDIDATES = {  # what lies in a folder, and what of it is meant; None where tha
     "pictures next to folders of them": (["{camera}/1.png", "{camera}_1.png"], None),
     "two videos": (["a.mp4", "b.mp4"], None),
     "a video and pictures of it": (["{camera}.mp4", "{camera}/1.png"], None),
+    "a GoPro's videos": (["{camera}.360"], ".360"),
+    "a camcorder's videos": (["{camera}.MTS"], ".MTS"),
     "Insta360's pictures": (["IMG_1.insp", "IMG_2.insp"], ".insp"),
 }
 

@@ -95,8 +95,6 @@ REFUSED: list[tuple[Files, dict[str, Any], str, str]] = [  # files, what is give
      "InteriorOrientationFisheye1.yaml: no such file"),
     (MULTICOL | {"InteriorOrientationFisheye0.yaml": "- 1\n- 2\n"}, {}, ".",
      "InteriorOrientationFisheye0.yaml: expected keys"),
-    ({"camchain.yaml": "cam0: {}\ncam0: {}\n"}, {}, "camchain.yaml", "the key 'cam0' stands twice"),
-    ({"camchain.yaml": "cam0: !!python/object/apply:os.system ['exit 1']\n"}, {}, "camchain.yaml", "not valid YAML"),
     ({"rig.yaml": MASKED}, {}, "rig.yaml", "front.png: no such file"),
     (vins(cam1_calib="other.yaml"), {}, "estimator.yaml", "other.yaml"),
     (vins(cam1_calib="note.yaml"), {}, "estimator.yaml", "estimator.yaml names it for cam1"),

@@ -166,23 +166,6 @@ def test_learned_intrinsics_are_written(tmp_path: Path) -> None:
         assert camera.focal_length.tolist() == [300.0, 301.0]
 
 
-def test_writing_replaces_a_file_at_once_and_leaves_nothing_else(tmp_path: Path) -> None:
-    for radius in (0.1, 0.2):
-        ring_rig(3, radius=radius).to_yaml(tmp_path / "rig.yaml")
-    assert [path.name for path in tmp_path.iterdir()] == ["rig.yaml"]
-    assert read_rig(tmp_path / "rig.yaml").radius.item() == pytest.approx(0.2)
-
-
-def test_failed_writing_leaves_the_old_file(tmp_path: Path) -> None:
-    path = tmp_path / "camera.yaml"
-    save_camera(PLAIN, path)
-    before = path.read_text()
-    with pytest.raises(ValueError, match="fisheye"):
-        save_camera(FisheyeCamera("equisolid", 100.0, [1.0, 1.0], SIZE, 1.0), path, format="opencv")
-    assert path.read_text() == before
-    assert [file.name for file in tmp_path.iterdir()] == ["camera.yaml"]
-
-
 @pytest.mark.parametrize("degrees", [0.0, 1e-7, 1e-3, 45.0, 120.0, 179.0, 180.0 - 1e-7, 180.0])
 def test_rotations_become_quaternions_and_vectors_to_the_last_digits(degrees: float) -> None:
     axis = torch.tensor([0.6, -0.48, 0.64], dtype=torch.float64)

@@ -12,10 +12,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
-import yaml
 from safetensors.torch import save_file
 
 from sphericalvision.core import MissingFileError, check_file
@@ -154,17 +152,6 @@ def test_a_part_written_without_a_complaint_is_an_error(
     with pytest.raises(OSError, match=r"3 of 6 bytes were written.*a\.txt"):
         write_bytes(tmp_path / "a.txt", b"abcdef")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_yaml_keeps_its_order_and_arrays_their_values(tmp_path: Path) -> None:
-    content = {"z": [1, 2.5], "a": {"name": "cam1 é"}}
-    write_yaml(tmp_path / "a.yaml", content)
-    read = yaml.safe_load((tmp_path / "a.yaml").read_text())
-    assert read == content
-    assert list(read) == ["z", "a"]
-    with atomic_write(tmp_path / "a.npz") as temporary:
-        np.savez(temporary, a=np.arange(3))
-    assert np.load(tmp_path / "a.npz")["a"].tolist() == [0, 1, 2]
 
 
 def test_a_missing_folder_is_named(tmp_path: Path) -> None:

@@ -94,7 +94,14 @@ def test_errors_name_file_cause_and_remedy(tmp_path: Path) -> None:
     write_image(tmp_path / "small.png", torch.zeros(3, 4, 6))
     with pytest.raises(FileFormatError, match=r"small\.png: expected 768 x 800 .* got 6 x 4"):
         read_image(tmp_path / "small.png", image_size=(800, 768))
-    for name, content in {"empty.png": b"", "text.png": b"not an image at all"}.items():
+    write_image(tmp_path / "noise.png", torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(0)))
+    whole = (tmp_path / "noise.png").read_bytes()
+    for name, content in {
+        "empty.png": b"",
+        "text.png": b"not an image at all",
+        "cut.png": whole[: len(whole) // 2],
+        "no_size.tiff": b"II*\x00\x08" + bytes(9),  # of which Pillow raises TypeError
+    }.items():
         (tmp_path / name).write_bytes(content)
         with pytest.raises(FileFormatError, match=f"{name}.*cannot be read.*download"):
             read_image(tmp_path / name)
@@ -142,15 +149,6 @@ def test_orientation_is_ignored(tmp_path: Path) -> None:
     Image.fromarray(stored).save(tmp_path / "a.tiff", exif=exif)
     with pytest.raises(FileFormatError, match=r"a\.tiff: this TIFF says that it is turned"):
         read_image(tmp_path / "a.tiff")
-
-
-def test_a_cut_off_file_is_refused(tmp_path: Path) -> None:
-    noise = torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(0))
-    write_image(tmp_path / "whole.png", noise)
-    content = (tmp_path / "whole.png").read_bytes()
-    (tmp_path / "cut.png").write_bytes(content[: len(content) // 2])
-    with pytest.raises(FileFormatError, match=r"cut\.png"):
-        read_image(tmp_path / "cut.png")
 
 
 def test_masks_come_back_and_are_true_from_half_white(tmp_path: Path) -> None:
@@ -216,14 +214,6 @@ def test_the_size_is_checked_before_pixels_are_decoded(
             patch.setattr(cv2, "imdecodemulti", lambda *_: pytest.fail("decoded"))
             with pytest.raises(FileFormatError, match=r"expected 6 x 9 .* got 9 x 6"):
                 read_image(path, (9, 6))
-
-
-def test_a_tiff_without_dimensions_is_refused(tmp_path: Path) -> None:
-    """Found by generated files: Pillow raises TypeError for it."""
-    path = tmp_path / "a.tiff"
-    path.write_bytes(b"II*\x00\x08\x00\x00\x00\x00\x00\x00\x00\x00\x00")
-    with pytest.raises(FileFormatError, match="cannot be read as an image"):
-        read_image(path)
 
 
 @pytest.mark.parametrize(

@@ -67,7 +67,7 @@ def test_numbers_are_those_that_people_mean() -> None:
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
-    content = {"b": [1, 2.5, "x"], "a": {"nested": [True, None]}}
+    content = {"b": [1, 2.5, "cam1 é"], "a": {"nested": [True, None]}}
     write_yaml(tmp_path / "a.yaml", content)
     assert read_yaml(tmp_path / "a.yaml") == content
     assert list(read_yaml(tmp_path / "a.yaml")) == ["b", "a"]

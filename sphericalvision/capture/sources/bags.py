@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.sources.frames import Recording
-from sphericalvision.capture.sources.moments import Clock, Moments, pair_moments
+from sphericalvision.capture.sources.moments import Clock, pair_moments
 from sphericalvision.capture.sources.patterns import labels_by_number
 from sphericalvision.core import (
     ArgumentError,
@@ -128,7 +128,10 @@ class Bag(Recording):
             moments.warnings.append(
                 f"images: {path}: {count} damaged message(s) of {self.topics[name]} are left out"
             )
-        super().__init__(_called_by_times(moments, [times[rig.names[0]] for _, times in clocks]), rig, whole)
+        if moments.clock is not None:
+            names = clocks[moments.clock][1][rig.names[0]]
+            moments = moments._replace(frames={str(names[n]): frame for n, frame in moments.frames.items()})
+        super().__init__(moments, rig, whole)
         if any(name not in topic.split("/") for name, topic in self.topics.items()):
             self.labels = dict(self.topics)
 
@@ -245,14 +248,6 @@ class Bag(Recording):
 
 def _seconds(nanoseconds: Mapping[str, int | None]) -> dict[str, float | None]:
     return {name: None if time is None else time / 1e9 for name, time in nanoseconds.items()}
-
-
-def _called_by_times(moments: Moments, times: Sequence[Mapping[str, int | None]]) -> Moments:
-    """Moments by number, called by the first camera's nanoseconds where a clock counts."""
-    if moments.clock is None:
-        return moments
-    own = times[moments.clock]
-    return moments._replace(frames={str(own[number]): frame for number, frame in moments.frames.items()})
 
 
 def _topics(

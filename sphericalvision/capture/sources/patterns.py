@@ -7,7 +7,6 @@ import re
 import string
 from collections.abc import Container, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import NoReturn
 
 from sphericalvision.capture.sources.moments import Clock, Moments, pair_moments
 from sphericalvision.core import ArgumentError, MissingFileError
@@ -58,9 +57,22 @@ def find_files(
     if requested is None:
         return moments
     for frame in requested:
-        if frame not in moments.frames:
-            camera = next((name for name in names if frame not in files[name]), None)
-            _refuse_missing(pattern, frame, camera, labels, files, key)
+        if frame in moments.frames:
+            continue
+        camera = next((name for name in names if frame not in files[name]), None)
+        if camera is None:
+            raise MissingFileError(
+                f"{key}: frame {frame} has no image of every camera at one time; correct frames="
+            )
+        existing = in_order(files[camera])
+        hint = ", ".join(existing[:4])
+        similar = [name for name in existing if name != frame and name.lstrip("0") == frame.lstrip("0")]
+        if similar:
+            hint += f"; {{frame:0{len(similar[0])}d}} in the pattern stands for {similar[0]}"
+        raise MissingFileError(
+            f"{key}: {_path(pattern, labels[camera], frame)}: no such file. The first frames there are {hint}. Correct "
+            "frames= or the pattern"
+        )
     return moments._replace(frames={frame: moments.frames[frame] for frame in requested}, warnings=[])
 
 
@@ -77,30 +89,6 @@ def _clocks(files: Mapping[str, Mapping[str, Path]]) -> list[Clock]:
             "the times in their names", {c: {name: times[name] for name in own} for c, own in files.items()}
         )
     ]
-
-
-def _refuse_missing(
-    pattern: str,
-    frame: str,
-    camera: str | None,
-    labels: Mapping[str, str],
-    files: Mapping[str, Mapping[str, Path]],
-    key: str,
-) -> NoReturn:
-    """Say what is missing of a requested frame."""
-    if camera is None:
-        raise MissingFileError(
-            f"{key}: frame {frame} has no image of every camera at one time; correct frames="
-        )
-    names = in_order(files[camera])
-    hint = ", ".join(names[:4])
-    padded = next((name for name in names if name != frame and name.lstrip("0") == frame.lstrip("0")), None)
-    if padded is not None:
-        hint += f"; {{frame:0{len(padded)}d}} in the pattern stands for {padded}"
-    raise MissingFileError(
-        f"{key}: {_path(pattern, labels[camera], frame)}: no such file. The first frames there are {hint}. Correct "
-        "frames= or the pattern"
-    )
 
 
 def find_labels(
@@ -139,7 +127,7 @@ def find_labels(
         raise MissingFileError(
             f"{key}: no file like {pattern!r} (looked in {Path.cwd()}); correct the pattern"
         )
-    numbers = sorted(_numbers(pattern, excluded), key=int)
+    numbers = sorted({camera for camera, _ in _matches(pattern, None, excluded)}, key=int)
     labels = labels_by_number(numbers, names, used)
     if labels is None:
         got = f"the numbers {', '.join(numbers)}" if numbers else "no file for it"
@@ -195,11 +183,6 @@ def _fields(pattern: str, key: str = "images") -> set[str]:
         return {field for _, field, _, _ in string.Formatter().parse(pattern) if field is not None}
     except ValueError as error:
         raise ArgumentError(f"{key}: {pattern!r} is not a pattern ({error})") from None
-
-
-def _numbers(pattern: str, excluded: Container[Path]) -> set[str]:
-    """The numbers that ``{camera}`` may stand for."""
-    return {camera for camera, _ in _matches(pattern, None, excluded)}
 
 
 def files_of(pattern: str, label: str, excluded: Container[Path] = ()) -> dict[str, Path]:

@@ -7,7 +7,6 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere.topology import check_level, vertex_at
 from sphericalvision.tables import constant_table, copied
 
@@ -26,7 +25,7 @@ def icosphere_vertex_parents(level: int, device: torch.device | str | None = Non
         >>> icosphere_vertex_parents(1)[:3].tolist()  # the north pole, and two vertices beside it
         [[0, 0], [0, 1], [1, 3]]
     """
-    n = _size_above_icosahedron(level)
+    n = 2 ** check_level(level, 1)
     chart = torch.arange(5, device=device)[:, None, None]
     row = torch.arange(1, 2 * n + 1, device=device)[:, None]
     column = torch.arange(n, device=device)
@@ -46,7 +45,7 @@ def icosphere_face_parents(level: int, device: torch.device | str | None = None)
         >>> icosphere_face_parents(1)[:8].tolist()  # of the four cells in the first cell
         [0, 0, 0, 1, 0, 1, 1, 1]
     """
-    n = _size_above_icosahedron(level)
+    n = 2 ** check_level(level, 1)
     chart = torch.arange(5, device=device)[:, None, None, None]
     row = torch.arange(2 * n, device=device)[:, None, None]
     column = torch.arange(n, device=device)[:, None]
@@ -66,10 +65,3 @@ def icosphere_face_children(level: int, device: torch.device | str | None = None
     """
     parents = icosphere_face_parents(check_level(level) + 1, device)
     return parents.argsort(stable=True).view(-1, 4)
-
-
-def _size_above_icosahedron(level: int) -> int:
-    """Return ``2**level`` or raise ``ArgumentError`` at level 0."""
-    if check_level(level) == 0:
-        raise ArgumentError("level: expected 1 or more, got 0: the icosahedron has no coarser level")
-    return 2**level

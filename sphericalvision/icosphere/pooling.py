@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Num
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_floating
+from sphericalvision.core import ShapeError, check_choice, check_floating
 from sphericalvision.icosphere.adjacency import icosphere_neighbors
 from sphericalvision.icosphere.areas import icosphere_solid_angles
 from sphericalvision.icosphere.hierarchy import icosphere_vertex_parents
@@ -148,8 +148,6 @@ def _check_level_of(values: Tensor, level: int) -> None:
 
 def _pooled_ids(level: int, device: torch.device) -> Tensor:
     """Return what each kept vertex gathers: itself, then its neighbours; itself again where there are five."""
-    if check_level(level) == 0:
-        raise ArgumentError("level: expected 1 or more to pool, got 0: the icosahedron has no coarser level")
     coarse = coarse_vertex_ids(level, device)[:, None]
     around = icosphere_neighbors(level, device)[coarse[:, 0]]
     return torch.cat((coarse, torch.where(around < 0, coarse, around)), 1)

@@ -38,16 +38,17 @@ MAX_LEVEL = 10
 """The finest icosphere: ten million vertices, three arc minutes apart. One level more takes four times the memory."""
 
 
-def check_level(level: int) -> int:
-    """Return ``level`` or raise ``ArgumentError`` unless it is an integer from 0 to ``MAX_LEVEL``.
+def check_level(level: int, least: int = 0) -> int:
+    """Return ``level`` or raise ``ArgumentError`` unless it is an integer from ``least``, 0 or 1, to ``MAX_LEVEL``.
 
     Examples:
         >>> check_level(7)
         7
     """
-    if isinstance(level, bool) or not isinstance(level, int) or not 0 <= level <= MAX_LEVEL:
+    if isinstance(level, bool) or not isinstance(level, int) or not least <= level <= MAX_LEVEL:
+        first = "1, as the icosahedron has no coarser level," if least else "0 (icosahedron)"
         raise ArgumentError(
-            f"level: expected an integer from 0 (icosahedron) to {MAX_LEVEL} (ten million vertices), got {level!r}"
+            f"level: expected an integer from {first} to {MAX_LEVEL} (ten million vertices), got {level!r}"
         )
     return level
 
@@ -152,9 +153,7 @@ def coarse_vertex_ids(level: int, device: torch.device | str | None = None) -> I
         >>> coarse_vertex_ids(1)
         tensor([ 0,  3,  7, 11, 15, 19, 23, 27, 31, 35, 39, 41])
     """
-    if check_level(level) == 0:
-        raise ArgumentError("level: expected 1 or more, got 0: the icosahedron has no coarser level")
-    n = 2**level
+    n = 2 ** check_level(level, 1)
     ids = torch.arange(num_icosphere_vertices(level), device=device)
     charts = ids[1:-1].view(5, 2 * n, n)[:, 1::2, ::2]
     return torch.cat((ids[:1], charts.flatten(), ids[-1:]))

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Shaped
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, check_counts
 from sphericalvision.metrics.images import MeanOverImages, absolute_error, point_weights, weighted_mean
 from sphericalvision.shapes import check_shapes
 
@@ -51,8 +51,7 @@ def depth_index_error(
         >>> {name: round(value.item(), 3) for name, value in errors.items()}
         {'>1': 50.0, '>3': 50.0, '>5': 0.0, 'MAE': 2.0, 'RMS': 2.828}
     """
-    if num_hypotheses < 1:
-        raise ArgumentError(f"num_hypotheses: expected a positive number, got {num_hypotheses!r}")
+    check_counts(num_hypotheses=num_hypotheses)
     fractions = point_weights(pred_index, target_index, mask, weights)
     error = absolute_error(pred_index, target_index) * (100 / num_hypotheses)
     above = {
@@ -138,8 +137,7 @@ class DepthIndexError(MeanOverImages):
 
     def __init__(self, num_hypotheses: int, **kwargs: object) -> None:
         super().__init__(**kwargs)
-        if num_hypotheses < 1:
-            raise ArgumentError(f"num_hypotheses: expected a positive number, got {num_hypotheses!r}")
+        check_counts(num_hypotheses=num_hypotheses)
         self.num_hypotheses = num_hypotheses
 
     def _errors(

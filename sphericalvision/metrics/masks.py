@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, seen_by
-from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.core import ArgumentError, check_choice, check_counts
 from sphericalvision.icosphere import icosphere_vertices
 from sphericalvision.icosphere.topology import vertex_at
 from sphericalvision.shapes import check_shapes
@@ -64,8 +64,7 @@ def evaluation_mask(
         >>> mask, left_out  # nobody sees what is above
         (tensor([[ True,  True,  True, False]]), tensor([0.2500]))
     """
-    if least_cameras < 1:
-        raise ArgumentError(f"least_cameras: expected 1 or more, got {least_cameras!r}")
+    check_counts(least_cameras=least_cameras)
     valid = torch.ones_like(inverse_depth, dtype=torch.bool) if valid is None else valid.bool()
     masked = torch.where(valid, inverse_depth, 0.0)
     mask = valid & (seen_by(rig, directions, masked) >= least_cameras)

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Integer, Num
 from torch import Tensor
 from torchmetrics import Metric
 
-from sphericalvision.core import ArgumentError, ShapeError, check_tensor, check_type
+from sphericalvision.core import ArgumentError, ShapeError, check_counts, check_tensor, check_type
 from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere import SphereGrid
 
@@ -151,8 +151,7 @@ class SolidAngleIoU(_OnGrid):
         self, grid: SphereGrid, num_classes: int, ignore_index: int | None = None, **kwargs: object
     ) -> None:
         super().__init__(grid, **kwargs)
-        if num_classes < 1:
-            raise ArgumentError(f"num_classes: expected 1 or more, got {num_classes!r}")
+        check_counts(num_classes=num_classes)
         self.num_classes, self.ignore_index = num_classes, ignore_index
         zeros = torch.zeros(num_classes, num_classes, dtype=torch.float64)
         self.add_state("areas", default=zeros, dist_reduce_fx="sum")

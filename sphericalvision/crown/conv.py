@@ -6,24 +6,19 @@ from __future__ import annotations
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError, check_dtype
+from sphericalvision.core import check_dtype
 from sphericalvision.crown.fast import convolve_rectangles, convolve_vertices
 from sphericalvision.crown.layout import Crown, check_crown
-from sphericalvision.crown.taps import HexagonWeights
+from sphericalvision.crown.taps import HexagonWeights, check_stride
 from sphericalvision.shapes import check_shapes
 
 __all__ = ["CrownConv2d", "CrownConv3d", "convolve_crown", "crown_conv2d", "crown_conv3d"]
 
 
 def _check_conv(crown: Crown, weight: Tensor, spatial_dims: int, stride: int) -> None:
-    check_crown(crown, spatial_dims)
-    if weight.shape[1] != crown.col.shape[2]:
-        raise ShapeError(
-            f"crown: expected {weight.shape[1]} channels (dimension 2), got {crown.col.shape[2]}"
-        )
+    check_crown(crown, spatial_dims, weight.shape[1])
     check_dtype("crown", crown.col, weight)
-    if stride not in (1, 2) or (stride == 2 and crown.level == 0):
-        raise ArgumentError(f"stride: expected 1, or 2 above level 0, got {stride} at level {crown.level}")
+    check_stride(stride, crown.level)
 
 
 @check_shapes

@@ -39,7 +39,7 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_dtype
 from sphericalvision.crown.fast import hex_convolve2d, hex_convolve3d
-from sphericalvision.crown.taps import HexagonWeights
+from sphericalvision.crown.taps import HexagonWeights, check_stride
 from sphericalvision.icosphere import icosphere_vertices, level_from_num_vertices
 from sphericalvision.icosphere.topology import vertex_at
 from sphericalvision.shapes import check_shapes
@@ -180,8 +180,7 @@ def _check_conv(values: Tensor, weight: Tensor, stride: int, north: Tensor | Non
     check_dtype("values", values, weight)
     if weight.shape[1] != values.shape[1]:
         raise ShapeError(f"values: expected {weight.shape[1]} channels (dimension 1), got {values.shape[1]}")
-    if stride not in (1, 2) or (stride == 2 and level == 0):
-        raise ArgumentError(f"stride: expected 1, or 2 above level 0, got {stride} at level {level}")
+    check_stride(stride, level)
     if north is not None and len(north) != values.shape[-1]:
         raise ShapeError(
             f"values: expected level {level_from_num_vertices(len(north))}, that of the layer's orientation from "

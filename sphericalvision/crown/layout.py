@@ -59,8 +59,8 @@ class Crown(NamedTuple):
         return Crown(self.col + other.col, self.row + other.row)
 
 
-def check_crown(crown: Crown, spatial_dims: int | None = None) -> None:
-    """Raise ``ShapeError`` unless ``crown`` has ten rectangles that match, of ``spatial_dims`` 2 or 3 if given."""
+def check_crown(crown: Crown, spatial_dims: int | None = None, channels: int | None = None) -> None:
+    """Raise ``ShapeError`` unless ten rectangles match, of ``spatial_dims`` 2 or 3 and so many channels if given."""
     if not (isinstance(crown, tuple) and len(crown) == 2):
         got = f"a tensor of shape {tuple(crown.shape)}" if isinstance(crown, Tensor) else type(crown).__name__
         raise ArgumentTypeError(
@@ -77,6 +77,8 @@ def check_crown(crown: Crown, spatial_dims: int | None = None) -> None:
             f"row (B, 5, C, {hypotheses}n + 1, 2n + 1) with n = 2**level, "
             f"got col {tuple(col.shape)} and row {tuple(row.shape)}; make it with to_crown"
         )
+    if channels is not None and col.shape[2] != channels:
+        raise ShapeError(f"crown: expected {channels} channels (dimension 2), got {col.shape[2]}")
 
 
 @check_shapes

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torch.nn.modules.batchnorm import _BatchNorm
 
-from sphericalvision.core import ShapeError, check_choice, check_dtype
+from sphericalvision.core import check_choice, check_dtype
 from sphericalvision.crown.fast import normalize
 from sphericalvision.crown.layout import Crown, check_crown, crown_map, crown_relu
 from sphericalvision.crown.statistics import CrownNorm
@@ -25,11 +25,7 @@ class _CrownBatchNorm(CrownNorm):
 
     def normalize(self, crown: Crown, relu: bool = False) -> Crown:
         """Normalise a crown, and rectify it if asked for."""
-        check_crown(crown, self.spatial_dims)
-        if crown.col.shape[2] != self.num_features:
-            raise ShapeError(
-                f"crown: expected {self.num_features} channels (dimension 2), got {crown.col.shape[2]}"
-            )
+        check_crown(crown, self.spatial_dims, self.num_features)
         if self.affine:
             check_dtype("crown", crown.col, self.weight)
         if not self.is_affine:

@@ -7,8 +7,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, check_floating
+from sphericalvision.core import check_floating
 from sphericalvision.crown.layout import Crown, check_crown, crown_map
+from sphericalvision.crown.taps import check_stride
 
 __all__ = [
     "CrownAvgPool2d",
@@ -37,7 +38,8 @@ def crown_avg_pool2d(crown: Crown, stride: int = 2) -> Crown:
         >>> crown_avg_pool2d(to_crown(torch.ones(1, 3, 162))).col.shape
         torch.Size([1, 5, 3, 5, 3])
     """
-    _check_pool(crown, stride)
+    check_crown(crown, 2)
+    check_stride(stride, crown.level)
 
     def pool(rectangles: Tensor) -> Tensor:
         pooled = F.avg_pool2d(rectangles.flatten(0, 1), 3, stride, padding=1, count_include_pad=False)
@@ -57,7 +59,8 @@ def crown_max_pool2d(crown: Crown, stride: int = 2) -> Crown:
         >>> crown_max_pool2d(to_crown(torch.ones(1, 3, 162))).row.shape
         torch.Size([1, 5, 3, 3, 5])
     """
-    _check_pool(crown, stride)
+    check_crown(crown, 2)
+    check_stride(stride, crown.level)
 
     def pool(rectangles: Tensor) -> Tensor:
         height, width = rectangles.shape[-2:]
@@ -69,12 +72,6 @@ def crown_max_pool2d(crown: Crown, stride: int = 2) -> Crown:
         return largest
 
     return crown_map(pool, crown)
-
-
-def _check_pool(crown: Crown, stride: int) -> None:
-    check_crown(crown, 2)
-    if stride not in (1, 2) or (stride == 2 and crown.level == 0):
-        raise ArgumentError(f"stride: expected 1, or 2 above level 0, got {stride} at level {crown.level}")
 
 
 class _CrownPool(nn.Module):

@@ -24,6 +24,7 @@ __all__ = [
     "HexagonWeights",
     "Taps",
     "check_hexagon",
+    "check_stride",
     "convolve",
     "convolve_rectangles",
     "neighbor_taps",
@@ -49,6 +50,12 @@ def check_hexagon(stride: int, kernel_size: object = None) -> None:
         raise ArgumentError(f"kernel_size: expected none, got {kernel_size!r}; {hint}")
     if stride not in (1, 2):
         raise ArgumentError(f"stride: expected 1 or 2, got {stride!r}; {hint}")
+
+
+def check_stride(stride: int, level: int) -> None:
+    """Raise ``ArgumentError`` unless a stride leads from a level to one that there is."""
+    if stride not in (1, 2) or (stride == 2 and level == 0):
+        raise ArgumentError(f"stride: expected 1, or 2 above level 0, got {stride} at level {level}")
 
 
 class HexagonWeights(nn.Module):

@@ -94,18 +94,6 @@ def test_seen_is_what_the_turned_rig_sees(name: str, masked: CameraRig) -> None:
     assert not turned["seen"][others][~outer].any()
 
 
-@pytest.mark.parametrize("name", TURNS)
-def test_values_play_no_part(name: str, masked: CameraRig) -> None:
-    results = []
-    for values in (torch.zeros_like, torch.rand_like):
-        torch.manual_seed(5)
-        sample = sphere_sample(masked, values)
-        torch.manual_seed(5)
-        results.append(TURNS[name]()(sample)["seen"])
-    assert torch.equal(*results)
-    assert results[0].any()
-
-
 def test_interpolation_shows_nothing_of_what_was_not_seen(masked: CameraRig) -> None:
     """Bright where nothing was seen: no vertex that counts as seen has any of it."""
     grid = Icosphere(LEVEL)

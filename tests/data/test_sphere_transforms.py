@@ -13,7 +13,6 @@ from torch import Tensor
 from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.data import RandomSphereRotation, RandomYaw, random_rotations
-from sphericalvision.data.augmentation.fivefold import rotate_fivefold
 from sphericalvision.data.augmentation.sphere_rotation import (
     num_yaw_steps,
     rotate_on_sphere,
@@ -93,14 +92,6 @@ def test_a_turn_of_the_grid_is_exact(grid: SphereGrid) -> None:
     assert torch.equal(both[1], yaw_on_sphere(values, grid, 3))
     normals = grid.directions.movedim(-1, 0)
     torch.testing.assert_close(yaw_on_sphere(normals, grid, 1, "normals"), normals, rtol=0, atol=1e-12)
-
-
-def test_exact_turns_are_rolls() -> None:
-    values = torch.rand(2, 3, 6, 12)
-    rolled = values.roll(5, -1)
-    assert torch.equal(yaw_on_sphere(values, Equirectangular(6, 12), 5), rolled)
-    vertices = torch.rand(2, 3, 162)
-    assert torch.equal(yaw_on_sphere(vertices, Icosphere(2), 2), rotate_fivefold(vertices, 2))
 
 
 def sample_of(grid: SphereGrid, batch: int, generator: torch.Generator) -> dict[str, Any]:
@@ -258,13 +249,6 @@ def test_small_rotations_stay_below_the_largest_angle(generator: torch.Generator
     assert angle.mean().item() == pytest.approx(
         0.15, rel=0.02
     )  # the density grows with the square of the angle
-
-
-def test_gradients_reach_values_and_rotation(generator: torch.Generator) -> None:
-    grid = Icosphere(1, torch.float64)
-    values = torch.rand(2, 42, generator=generator, dtype=torch.float64, requires_grad=True)
-    turn = random_rotations(1, generator=generator)[0].double().requires_grad_()
-    assert torch.autograd.gradcheck(lambda v, r: rotate_on_sphere(v, grid, r), (values, turn))
 
 
 def test_bad_arguments_are_named() -> None:

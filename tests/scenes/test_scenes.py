@@ -168,17 +168,6 @@ def test_a_mirror_shows_what_lies_in_the_reflected_direction() -> None:
     torch.testing.assert_close(seen, torch.tensor([0.4, 0.2, 0.1]), rtol=1e-3, atol=1e-4)
 
 
-def test_center_moves_the_scene_to_the_rig() -> None:
-    center, directions = (
-        torch.tensor([1.0, -2.0, 3.0]),
-        torch.nn.functional.normalize(torch.randn(200, 3), dim=-1),
-    )
-    moved = ray_depth(make_scene("floating", 4, center=center), center, directions)
-    torch.testing.assert_close(
-        moved, ray_depth(make_scene("floating", 4), ORIGIN, directions), rtol=1e-3, atol=1e-3
-    )
-
-
 def test_convention_down_is_the_floor() -> None:
     """The floor is 0.75 to 1.7 m below the rig, the ceiling higher above than any floor's clutter, or an object."""
     for seed in range(5):

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Small changes of the code, and how many of them no quick test notices: ``make mutants``.
 
-mutmut makes the changes, in the files of one room after the other, and tries each against those of the room's tests
-that call the changed function. All changes would take days, so as many are drawn for each room; the same code and seed
-draw the same ones. They are made in a copy, ``build/mutants``, where recipes lie in the package that they are installed
-as: mutmut changes what is imported from its folder. Rooms and their tests are in ``ROOMS``.
+mutmut makes the changes, its own kinds and those of ``OPERATORS``, in the files of one room after the other, and tries
+each against those of the room's tests that call the changed function. All changes would take days, so as many are drawn
+for each room; the same code and seed draw the same ones. They are made in a copy, ``build/mutants``, where recipes lie
+in the package that they are installed as: mutmut changes what is imported from its folder. Rooms and their tests are in
+``ROOMS``.
 Names of parametrized tests have to be ASCII: pytest, which is called again and again in one process, escapes what it
 has escaped.
 
@@ -22,13 +23,18 @@ import shutil
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Iterator
 from math import sqrt
 from pathlib import Path
 
+import libcst as cst
 from mutmut.mutation.file_mutation import mutate_file_contents
+from mutmut.mutation.mutators import mutation_operators
 from mutmut.stats import status_by_exit_code
 
 TREE = Path("build/mutants")
+MUTMUT = "import tests.mutants; from mutmut.__main__ import cli; cli()"
+"""mutmut with the kinds of changes that are added here."""
 
 CALIBRATING = [f"tests/capture/test_{name}.py" for name in ("boards", "calibrate_rig", "refine", "alignment")]
 ROOMS = {
@@ -63,6 +69,50 @@ ROOMS = {
 }
 """Files, as patterns in which a star matches folders, too, and the tests that look after them, by path or by the name
 of one of recipes."""
+
+
+def exchanged_arguments(node: cst.Call) -> Iterator[cst.CSTNode]:
+    """Two neighbours without a keyword."""
+    for at, (first, second) in enumerate(zip(node.args, node.args[1:], strict=False)):
+        is_plain = not (first.keyword or second.keyword or first.star or second.star)
+        if is_plain and not first.value.deep_equals(second.value):
+            pair = first.with_changes(value=second.value), second.with_changes(value=first.value)
+            yield node.with_changes(args=[*node.args[:at], *pair, *node.args[at + 2 :]])
+
+
+def dropped_conditions(node: cst.BooleanOperation | cst.BinaryOperation) -> Iterator[cst.CSTNode]:
+    """One of two conditions or masks alone."""
+    if isinstance(node.operator, cst.And | cst.Or | cst.BitAnd | cst.BitOr):
+        for side in (node.left, node.right):
+            yield side.with_changes(lpar=[cst.LeftParen(), *side.lpar], rpar=[*side.rpar, cst.RightParen()])
+
+
+def other_units(node: cst.Call) -> Iterator[cst.CSTNode]:
+    """An angle that is not converted, or a transform that is not inverted."""
+    name = node.func.attr if isinstance(node.func, cst.Attribute) else node.func
+    names = ("radians", "degrees", "deg2rad", "rad2deg", "invert_transform")
+    if isinstance(name, cst.Name) and name.value in names and len(node.args) == 1:
+        yield node.args[0].value
+
+
+def other_frames(node: cst.Attribute) -> Iterator[cst.CSTNode]:
+    """A pose the other way round, or a rotation that is not transposed."""
+    if node.attr.value in (pair := ("world_from_camera", "camera_from_world")):
+        yield node.with_changes(attr=cst.Name(pair[node.attr.value == pair[0]]))
+    if node.attr.value in ("mT", "T"):
+        yield node.value
+
+
+OPERATORS = [
+    (cst.Call, exchanged_arguments),
+    (cst.BooleanOperation, dropped_conditions),
+    (cst.BinaryOperation, dropped_conditions),
+    (cst.Call, other_units),
+    (cst.Attribute, other_frames),
+]
+"""Types of nodes and changes of them, as of ``mutation_operators``: faults that mutmut's own kinds do not make."""
+assert isinstance(mutation_operators, list)
+mutation_operators.extend(OPERATORS)
 
 
 def copy_code() -> None:
@@ -102,7 +152,7 @@ def try_them(pattern: str, names: list[str]) -> set[str] | None:
     text = ORIGINAL.replace(HEADING, f"[tool.mutmut]\n{lines}")
     Path("pyproject.toml").write_text(text)
     shutil.rmtree("mutants", ignore_errors=True)  # with what it says of the tests of another room
-    if subprocess.run([sys.executable, "-m", "mutmut", "run", *names], check=False).returncode:
+    if subprocess.run([sys.executable, "-c", MUTMUT, "run", *names], check=False).returncode:
         return None
     exits: dict[str, int | None] = {}
     for meta in Path("mutants/sphericalvision").rglob("*.meta"):

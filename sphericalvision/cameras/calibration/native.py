@@ -12,11 +12,7 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import Keys, as_keys, with_keys
-from sphericalvision.cameras.calibration.parsing import (
-    errors_of_file,
-    numbers,
-    size_from_width_height,
-)
+from sphericalvision.cameras.calibration.parsing import errors_of_file, size_from_width_height
 from sphericalvision.cameras.native_files import (
     CAMERA_FORMAT,
     RIG_FORMAT,
@@ -95,9 +91,7 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
         if name in cameras:
             raise FileFormatError(f"{values.at('name')}: a second camera named {short_repr(name)}")
         cameras[name] = _limited(camera_from_dict(values, values.where, options.dtype), options)
-        rows = values.entry("world_from_camera")
-        flat = [value for row in rows for value in row] if _is_matrix(rows) else rows
-        poses.append(numbers(flat, values.at("world_from_camera"), 16))
+        poses.append(values.matrix("world_from_camera", 16))
         if values.get("mask"):
             masks[name] = read_mask(path.parent / str(values["mask"]), cameras[name].image_size)
     return Contents(cameras, torch.tensor(poses, dtype=torch.float64).reshape(-1, 4, 4), masks)
@@ -105,10 +99,6 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
 
 def _limited(camera: Camera, options: Options) -> Camera:
     return camera if options.max_angle is None else camera.with_max_angle(options.max_angle)
-
-
-def _is_matrix(rows: Any) -> bool:
-    return isinstance(rows, list) and all(isinstance(row, list) for row in rows)
 
 
 register_format(

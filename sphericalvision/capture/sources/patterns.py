@@ -69,9 +69,10 @@ def find_files(
         similar = [name for name in existing if name != frame and name.lstrip("0") == frame.lstrip("0")]
         if similar:
             hint += f"; {{frame:0{len(similar[0])}d}} in the pattern stands for {similar[0]}"
+        values = {"camera": labels[camera], "frame": frame, None: ""}
+        path = "".join(text + values[field] for text, field, _, _ in string.Formatter().parse(pattern))
         raise MissingFileError(
-            f"{key}: {_path(pattern, labels[camera], frame)}: no such file. The first frames there are {hint}. Correct "
-            "frames= or the pattern"
+            f"{key}: {path}: no such file. The first frames there are {hint}. Correct frames= or the pattern"
         )
     return moments._replace(frames={frame: moments.frames[frame] for frame in requested}, warnings=[])
 
@@ -237,8 +238,3 @@ def _frame_text(pattern: str, frame: int | str) -> str:
             except ValueError:
                 raise ArgumentError(f"frames: expected numbers, as {pattern!r} says, got {frame!r}") from None
     raise ArgumentError(f"frames: {pattern!r} has no {{frame}} to put {frame!r} in")
-
-
-def _path(pattern: str, label: str, frame: str) -> str:
-    values = {"camera": label, "frame": frame, None: ""}
-    return "".join(text + values[field] for text, field, _, _ in string.Formatter().parse(pattern))

@@ -292,7 +292,8 @@ class DepthNetwork(RemembersArguments):
         if weight is not None:
             check_dtype("images", images, weight)
         levels = sorted({self.level, self.image_level}) if on_sphere else []
-        sizes = [(num_icosphere_vertices(level),) for level in levels] or [images.shape[3:]]
+        sizes: list[Sequence[int]] = [(num_icosphere_vertices(level),) for level in levels]
+        sizes = sizes or [images.shape[3:]]
         if (
             images.ndim != (4 if on_sphere else 5)
             or images.shape[3:] not in sizes

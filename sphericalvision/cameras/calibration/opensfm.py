@@ -64,8 +64,8 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
             )
         if shot.get("orientation", 1) not in (0, 1):
             raise FileFormatError(f"{shot.at('orientation')}: expected 1, an image that is not turned")
-        vectors = [shot.numbers(key, 3) for key in ("rotation", "translation")]
-        pose = transform_from_rotation_vector(*vectors, shot.at("rotation"))
+        rotation, translation = (shot.numbers(key, 3) for key in ("rotation", "translation"))
+        pose = transform_from_rotation_vector(rotation, translation, shot.at("rotation"))
         calibration.add(name, cameras.cameras[lens], shot.where, invert_transform(pose))
     if not calibration.cameras:
         raise FileFormatError(f"{path}, shots: expected at least one")

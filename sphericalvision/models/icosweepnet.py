@@ -43,7 +43,7 @@ from sphericalvision.sweep import (
     SweepVolume,
     depth_estimate,
 )
-from sphericalvision.sweep.aggregation import named_aggregation
+from sphericalvision.sweep.aggregation import aggregate, named_aggregation
 
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
@@ -132,7 +132,7 @@ class IcoSweepNet(DepthNetwork):
         # A line a stage; the largest tensors share one name, so that each goes as soon as the next one stands.
         features = self.extract_features(images)
         volume, views = self.sweep(features, rig, seen)
-        volume = self.aggregation(SweepVolume(volume, views))
+        volume = aggregate(self.aggregation, SweepVolume(volume, views))
         volume = self.regularizer.fusion(volume)
         scores = self.regularizer.refine(volume)
         return depth_estimate(scores, views)

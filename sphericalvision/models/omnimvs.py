@@ -23,7 +23,7 @@ from sphericalvision.sweep import (
     soft_argmax,
     soft_argmax_confidence,
 )
-from sphericalvision.sweep.aggregation import named_aggregation
+from sphericalvision.sweep.aggregation import aggregate, named_aggregation
 from sphericalvision.sweep.panorama_sweep import PanoramaTables
 
 if TYPE_CHECKING:
@@ -137,7 +137,7 @@ class OmniMVS(DepthNetwork):
         tables = self.sweep.tables_for(images, rig)
         features = self.extract_features(images)
         swept = self.sweep_features(features, tables, seen)
-        volume = self.aggregation(swept)
+        volume = aggregate(self.aggregation, swept)
         scores = self.hourglass(volume).flatten(2)
         return self._regression(scores, tables, seen)
 

@@ -22,6 +22,7 @@ __all__ = [
     "Aggregation",
     "Concatenation",
     "MeanVariance",
+    "aggregate",
     "mean_and_variance",
     "named_aggregation",
     "register_aggregation",
@@ -63,6 +64,17 @@ class Aggregation(nn.Module):
 
     def extra_repr(self) -> str:
         return f"out_channels={self.out_channels}"
+
+
+def aggregate(aggregation: Aggregation, volume: SweepVolume) -> Float[Tensor, "B C_out N *grid"]:
+    """Return the cost volume of an aggregation, which has as many channels as it states."""
+    result: Tensor = aggregation(volume)
+    if result.shape[1] != aggregation.out_channels:
+        raise ShapeError(
+            f"aggregation: {type(aggregation).__name__} has out_channels={aggregation.out_channels}, and its forward "
+            f"returned {result.shape[1]} channels, shape {tuple(result.shape)}"
+        )
+    return result
 
 
 class Concatenation(Aggregation):

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import ring_rig
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.models import IcoSweepNet, OmniMVS, load_weights, save_weights
 from sphericalvision.sweep import Aggregation, SweepVolume, register_aggregation
 from sphericalvision.sweep.aggregation import AGGREGATIONS, named_aggregation
@@ -77,6 +77,9 @@ def test_an_aggregation_of_ones_own(generator: torch.Generator, tmp_path: Path, 
     by_object = IcoSweepNet(3, 4, feature_channels=4, norm="instance", aggregation=Strongest(4))
     by_object.load_state_dict(net.state_dict())
     assert torch.equal(by_object(batch, rig), index)
+    by_object.aggregation.out_channels = 8
+    with pytest.raises(ShapeError, match="Strongest has out_channels=8"):
+        by_object(batch, rig)
     with pytest.raises(ArgumentError, match=r"aggregation: expected plain values.*got Strongest"):
         save_weights(by_object, tmp_path / "object.safetensors")
 

@@ -10,7 +10,6 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import av
 import cv2
 import numpy as np
 import torch
@@ -50,6 +49,7 @@ from sphericalvision.sphere import Equirectangular
 from tests.cameras.calibration_samples import RIGHT_OF_FIRST, TEXTS, flat, read_everything, sample
 from tests.data.test_truth import write_pcd
 from tests.models.test_weights import in_reference_names
+from tests.recipes.tiny import write_streams
 
 __all__ = ["READERS", "Reader", "files"]
 
@@ -152,7 +152,7 @@ READERS = {
     "digits.ckpt": Reader("weights", "digits.ckpt", ClassificationModule.stored_network),
     "scene.npz": Reader("cache", "scene.npz", cached),
     **{f"run.{suffix}": Reader("bags", f"run.{suffix}", frames) for suffix in ("bag", "mcap", "db3")},
-    **{f"two.{suffix}": Reader("videos", f"two.{suffix}", frames) for suffix in ("mp4", "mkv", "avi")},
+    **{f"two.{suffix}": Reader("videos", f"two.{suffix}", frames) for suffix in ("mp4", "mkv")},
     **{
         f"scan.{suffix}": Reader("points", f"scan.{suffix}", read_points)
         for suffix in ("pcd", "bin", "ply", "npy", "csv", "xyz")
@@ -300,17 +300,9 @@ def write_bags(folder: Path) -> None:
 
 
 def write_videos(folder: Path) -> None:
-    for suffix in ("mp4", "mkv", "avi"):
-        with av.open(str(folder / f"two.{suffix}"), "w") as file:
-            for _ in SMALL.names:
-                stream = file.add_stream("mpeg4", rate=10)
-                stream.width, stream.height, stream.pix_fmt = 32, 16, "yuv420p"
-            for _ in range(3):
-                for target in file.streams:
-                    picture = av.VideoFrame.from_ndarray(np.zeros((16, 32, 3), np.uint8), "rgb24")
-                    file.mux(target.encode(picture))
-            for target in file.streams:
-                file.mux(target.encode(None))
+    picture = np.zeros((16, 32, 3), np.uint8)
+    for suffix, codec in (("mp4", "mpeg4"), ("mkv", "ffv1")):
+        write_streams(folder / f"two.{suffix}", [[picture] * 3] * 2, codec)
 
 
 def write_points(folder: Path) -> None:

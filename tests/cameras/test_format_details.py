@@ -117,15 +117,6 @@ def lens(third: float = 1 / 3) -> OCamCamera:
     )
 
 
-def test_text_has_the_row_first_and_five_lines_of_data(tmp_path: Path) -> None:
-    save_camera(lens(), tmp_path / "lens.txt", format="ocamcalib")
-    lines = [line for line in (tmp_path / "lens.txt").read_text().splitlines() if line and line[0] != "#"]
-    assert len(lines) == 5
-    assert lines[0].split()[0] == "4"
-    assert lines[2] == "119.3 160.1"
-    assert lines[4] == "240 320"
-
-
 def test_polynomials_of_two_lenses_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "lens.txt"
     save_camera(lens(), path, format="ocamcalib")

@@ -84,31 +84,16 @@ def values(frame: object) -> list[float]:
     return [float(torch.as_tensor(np.asarray(images[name])).float().mean()) for name in RIG.names]
 
 
-@pytest.mark.parametrize(
-    "images",
-    [
-        "videos/{camera}.avi",
-        "videos",
-        "row.avi",
-        "square.avi",
-        "images",
-        "images/cam{camera}/{frame:03d}.png",
-    ],
-)
-def test_all_sources_give_the_same_frames(capture: Path, images: str) -> None:
+@pytest.mark.parametrize("images", ["videos", "row.avi", "square.avi", "images"])
+def test_folders_and_views_side_by_side_give_the_same_frames(capture: Path, images: str) -> None:
     source = open_source(str(capture / images), RIG)
-    chosen = Selection(1, 6, 2)
     assert source.sizes() == dict.fromkeys(RIG.names, SIZE)
-    names = source.names(chosen)
-    assert names is not None
-    assert [int(name) for name in names] == [1, 3, 5]
-    frames = list(source.frames(chosen, lambda name: int(name) != 3))
-    assert [frame.name for frame in frames] == [names[0], names[2]]
-    scale = 255 if "images" in images else 1  # image files come as [0, 1]
+    scale = 255 if images == "images" else 1  # image files come as [0, 1]
+    frames = list(source.frames(Selection(1, 6, 2), lambda name: int(name) != 3))
+    assert [int(frame.name) for frame in frames] == [1, 5]
     for frame in frames:
         expected = [20 + 30 * int(frame.name) + 5 * camera for camera in range(4)]
         np.testing.assert_allclose(np.multiply(values(frame), scale), expected, atol=3)
-    assert 1 <= len(source.samples()) <= 3
 
 
 def test_colours_of_videos_are_red_green_blue(tmp_path: Path) -> None:
@@ -179,13 +164,8 @@ def test_what_cannot_be_opened_or_cut_is_named(capture: Path, tmp_path: Path) ->
 
 def test_streams_of_one_file_are_the_cameras(tmp_path: Path) -> None:
     file = tmp_path / "VID.insv"
-    write_streams(file, [[picture(frame, camera) for frame in range(FRAMES)] for camera in range(4)])
-    source = open_source(str(file), RIG)
-    assert source.labels == {name: f"stream {number}" for number, name in enumerate(RIG.names)}
-    frame = next(source.frames(Selection(3), lambda _: True))
-    np.testing.assert_allclose(values(frame), [110, 115, 120, 125], atol=3)
-    some = open_source(str(file), RIG, cameras=["cam3"])
-    assert some.labels == {"cam3": "stream 2"}
+    write_streams(file, [[picture(0, camera)] * 2 for camera in range(4)])
+    assert open_source(str(file), RIG, cameras=["cam3"]).labels == {"cam3": "stream 2"}
     with pytest.raises(ArgumentError, match=r"VID.insv has 4 video streams"):
         open_source(str(file), RIG.subset(["cam1", "cam2"]))
 

@@ -120,7 +120,10 @@ class Bag(Recording):
         ]
         moments = pair_moments(
             messages,
-            [Clock(source, {c: _seconds(own) for c, own in times.items()}) for source, times in clocks],
+            [
+                Clock(source, {c: {n: t and t / 1e9 for n, t in own.items()} for c, own in times.items()})
+                for source, times in clocks
+            ],
             tolerance,
             names="their numbers",
         )
@@ -244,10 +247,6 @@ class Bag(Recording):
             connection, _, data = next(islice(messages, message.number, None))
             content = reader.deserialize(data, connection.msgtype)
         return _picture_of(content, f"{self.path}: {topic}")
-
-
-def _seconds(nanoseconds: Mapping[str, int | None]) -> dict[str, float | None]:
-    return {name: None if time is None else time / 1e9 for name, time in nanoseconds.items()}
 
 
 def _topics(

@@ -54,7 +54,6 @@ __all__ = [
     "print_labels",
     "recorded_names",
     "recorded_photographs",
-    "visible_part",
     "with_own_body_masked",
 ]
 
@@ -372,20 +371,15 @@ def cut_to_visible(source: Source, max_angle_deg: float | None) -> None:
         source: a recording; live cameras stay as they are.
         max_angle_deg: of the calibration's keys; where it is given it counts.
     """
-    if max_angle_deg is None and not source.live:
-        frames = (as_photographs(f.images, source.rig) for f in source.samples() if f.images is not None)
-        source.rig = visible_part(source.rig, frames)
-
-
-def visible_part(rig: CameraRig, frames: Iterable[Mapping[str, Tensor]]) -> CameraRig:
-    """The rig whose fields of view end where frames are dark beyond; a line for each camera is printed."""
-    rig, angles = without_dark_surround(rig, frames)
+    if max_angle_deg is not None or source.live:
+        return
+    frames = (as_photographs(f.images, source.rig) for f in source.samples() if f.images is not None)
+    source.rig, angles = without_dark_surround(source.rig, frames)
     for name, angle in angles.items():
         print(
             f"Field of view: {name} is dark beyond {math.degrees(angle):.0f}° from its axis in all frames compared, "
             "and ends there; max_angle_deg= overrides this."
         )
-    return rig
 
 
 def with_own_body_masked(rig: CameraRig, frames: Iterable[Mapping[str, Tensor]]) -> CameraRig:

@@ -17,7 +17,7 @@ from sphericalvision.capture.panoramas import Panoramas
 from sphericalvision.capture.result_folder import Settings
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import SampleView, ToSphere, collate_samples
-from sphericalvision.io.images import write_image
+from sphericalvision.io.images import as_bytes, write_image
 from sphericalvision.models import DepthNetwork
 from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.recipes.app.cli import build, choose_device, console
@@ -30,7 +30,6 @@ from sphericalvision.recipes.evaluation.loop import (
     mean_errors_by_method,
 )
 from sphericalvision.recipes.evaluation.methods import Method, Scale, baselines
-from sphericalvision.recipes.evaluation.pictures import color_picture
 from sphericalvision.recipes.evaluation.tables import Table, save_errors
 from sphericalvision.scenes import World, WorldSamples
 from sphericalvision.scenes.samples import recorded_sample
@@ -106,7 +105,7 @@ def _save_comparison(folder: Path, frame: dict[str, Any], panoramas: Panoramas, 
     wrong = error_panorama(error, max_error=10.0, label=f"error (% of N = {number})")
     write_image(folder / "ground_truth.png", true)
     write_image(folder / "error.png", wrong)
-    colors = color_picture(panoramas.colors[0].cpu())
+    colors = as_bytes(panoramas.colors[0].cpu())
     larger = true.shape[1] // colors.shape[1]  # pictures with a scale are enlarged if they are small
     pictures = {
         "the images as one panorama": colors.repeat(larger, 0).repeat(larger, 1),
@@ -115,7 +114,7 @@ def _save_comparison(folder: Path, frame: dict[str, Any], panoramas: Panoramas, 
         "true depth": true,
     }
     below = sheet(pictures, columns=2)
-    images = strip([color_picture(image) for image in frame["images"].values()], below.shape[1] - 24)
+    images = strip([as_bytes(image) for image in frame["images"].values()], below.shape[1] - 24)
     write_image(folder / "overview.png", np.concatenate((sheet({"input": images})[:-12], below)))
 
 

@@ -21,7 +21,7 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.files import part_of_name
 from sphericalvision.io.images import write_image
-from sphericalvision.recipes.app.captures import cameras_and_labels, print_labels, visible_part
+from sphericalvision.recipes.app.captures import cameras_and_labels, cut_to_visible, print_labels
 from sphericalvision.recipes.app.cli import console, print_table
 from sphericalvision.recipes.app.kinds import STRICT, Distance, Names, Number, OnlyWith, Text
 from sphericalvision.recipes.app.rigs import Calibration, keys_named
@@ -126,13 +126,14 @@ def inspect(config: InspectConfig, folder: Path) -> list[Path]:
         with keys_named(frames="frame"):
             source = open_source(config.images, whole, frames, files, cameras, labels=labels)
         print_labels(source)
-        samples = [as_photographs(frame.images, rig) for frame in source.samples() if frame.images]
+        samples = [frame.images for frame in source.samples() if frame.images]
         if not samples:
             error = None if source.live else next(source.frames(Selection(), lambda _: True)).error
             raise error or ArgumentError("images: expected a recording, not live cameras")
-        images = samples[0]
-        if config.file.max_angle_deg is None:
-            rig = visible_part(rig, samples)
+        images = as_photographs(samples[0], rig)
+        source.rig = rig
+        cut_to_visible(source, config.file.max_angle_deg)
+        rig = source.rig
     print_cameras(rig, str(config.file.calibration))
     if posed_rig is not None:
         print_poses(rig, config)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, NamedTuple
@@ -167,18 +166,17 @@ class CaptureDataModule(CaptureFields, PreparedSamples):
             raise ArgumentError(
                 "data: a network teaches what is in a capture; call bind_network(net) before setup"
             )
+        rig = _with_rows(self.source.rig, MOST_ROWS)
         reading = recorded_photographs(self.source, self.names)
         frames = track(reading, "reading frames", total=len(self.names), console=console)
-        photographs = {name: _encoded(images) for name, images in frames}
-        first = photographs[self.names[0]]
-        rig = self.source.rig.resized({name: tuple(image.shape[-2:]) for name, image in first.items()})
+        photographs = {name: _encoded(images, rig) for name, images in frames}
         if self.capture.masks == AUTO:
             rig = with_own_body_masked(rig, map(_floats, photographs.values()))
         self.near = self._nearest(rig, photographs)
         self.rig = rig.scaled(self.net.min_depth / self.near)
         labeller = PseudoLabeller(self.net, self.rig)
         for name in track(self.names, "asking network and sweep", console=console):
-            images = _encoded(self.preparation.images(self.rig, _floats(photographs[name])))
+            images = _encoded(self.preparation.images(self.rig, _floats(photographs[name])), self.rig)
             self.labelled[name] = LabelledFrame(name, images, labeller(_floats(images)))
         self.grey = float(all(_is_grey(images) for images in photographs.values()))
 
@@ -218,7 +216,7 @@ class CaptureDataModule(CaptureFields, PreparedSamples):
         """
         assert self.net is not None
         world = rehearsed_world(
-            _smaller(self.rig.scaled(NATURAL_MIN_DEPTH / self.net.min_depth)),
+            _with_rows(self.rig.scaled(NATURAL_MIN_DEPTH / self.net.min_depth), RENDERED_ROWS),
             self.grey,
             self.preparation,
             self.world,
@@ -297,16 +295,12 @@ class CaptureSamples(Dataset[Sample]):
         }
 
 
-def _encoded(images: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Images as bytes, averaged down where they are larger than needed."""
-    encoded = {}
-    for name, image in images.items():
-        factor = image.shape[-2] / MOST_ROWS
-        if factor > 1:
-            size = (MOST_ROWS, round(image.shape[-1] / factor))
-            image = F.interpolate(image[None], size, mode="area")[0]
-        encoded[name] = encode(image)
-    return encoded
+def _encoded(images: Mapping[str, Tensor], rig: CameraRig) -> dict[str, Tensor]:
+    """Images as bytes, averaged to the sizes of a rig's cameras."""
+    return {
+        name: encode(F.interpolate(image[None], rig.cameras[name].image_size, mode="area")[0])
+        for name, image in images.items()
+    }
 
 
 def _floats(images: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -318,11 +312,10 @@ def _is_grey(images: dict[str, Tensor]) -> bool:
     return max(spread).item() < COLORLESS
 
 
-def _smaller(rig: CameraRig) -> CameraRig:
-    """The rig with images of no more rows than rendered scenes need."""
+def _with_rows(rig: CameraRig, most: int) -> CameraRig:
+    """The rig with images of at most so many rows."""
     sizes = {}
     for name, camera in rig.cameras.items():
         height, width = camera.image_size
-        factor = max(1.0, height / RENDERED_ROWS)
-        sizes[name] = (math.floor(height / factor), round(width / factor))
+        sizes[name] = (min(height, most), round(width * min(1.0, most / height)))
     return rig.resized(sizes)

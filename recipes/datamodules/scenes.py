@@ -75,16 +75,14 @@ class RenderedDataModule(DepthDataModule):
         super().__post_init__()
         held_out = {"val": (self.num_val, self.val_seed), "test": (self.num_test, self.test_seed)}
         self.scenes = {"train": (self.num_train, self.train_seed), **held_out}
-        for split, (number, first) in {**self.training_seeds(), **held_out}.items():
+        seeds = {**self.training_seeds(), **held_out}
+        for split, (number, first) in seeds.items():
             if first + number > HELD_OUT_SEED:
                 raise ArgumentError(
                     f"data: seeds from {HELD_OUT_SEED} are held out for the benchmark, and {split} scenes end at "
                     f"{first + number - 1}; set data.{split}_seed to {HELD_OUT_SEED - number} or less"
                 )
-        ranges = sorted(
-            (first, first + number, split)
-            for split, (number, first) in {**self.training_seeds(), **held_out}.items()
-        )
+        ranges = sorted((first, first + number, split) for split, (number, first) in seeds.items())
         for (_, end, one), (start, _, other) in pairwise(ranges):
             if start < end:
                 raise ArgumentError(

@@ -15,7 +15,7 @@ from pydantic.dataclasses import dataclass
 
 from sphericalvision.capture.estimating import threads_kept
 from sphericalvision.core import FileFormatError
-from sphericalvision.io.images import write_image
+from sphericalvision.io.images import as_bytes, write_image
 from sphericalvision.recipes.app.checks import flat
 from sphericalvision.recipes.app.cli import console, print_config
 from sphericalvision.recipes.app.kinds import STRICT, Count, Number, Positive, Text
@@ -24,7 +24,6 @@ from sphericalvision.recipes.evaluation.methods import SCALE, Method, check_name
 from sphericalvision.recipes.evaluation.pictures import (
     DrawnFrame,
     camera_picture,
-    color_picture,
     frames_sheet,
 )
 from sphericalvision.recipes.evaluation.places import KEPT, REGIONS, FrameTruth, PlaceErrors
@@ -188,7 +187,7 @@ def _drawn(frames: TrackFrames, name: str, records: Mapping[str, Record], rows: 
     camera = frame.rig.names[0]
     return DrawnFrame(
         camera_picture(frame.images[camera] * frame.rig.masks.get(camera, torch.tensor(1.0)), rows),
-        color_picture(icosphere_to_panorama(frame.colors, rows)),
+        as_bytes(icosphere_to_panorama(frame.colors, rows)),
         truth.index.where(truth.valid, torch.nan),
         truth.regions["all"],
         {method: record.drawn[name] for method, record in records.items()},

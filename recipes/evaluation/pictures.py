@@ -12,13 +12,14 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
+from sphericalvision.io.images import as_bytes
 from sphericalvision.recipes.evaluation.methods import Scale
 from sphericalvision.sweep import depth_from_index
 from sphericalvision.viz import depth_to_color, error_to_color, sheet
 from sphericalvision.viz.color import fade
 from sphericalvision.viz.panorama import icosphere_to_panorama
 
-__all__ = ["WORST", "DrawnFrame", "camera_picture", "color_picture", "frames_sheet"]
+__all__ = ["WORST", "DrawnFrame", "camera_picture", "frames_sheet"]
 
 Picture = npt.NDArray[np.uint8]
 
@@ -79,14 +80,9 @@ class DrawnFrame(NamedTuple):
         return fade(picture, SHOWN + (1 - SHOWN) * counts)
 
 
-def color_picture(image: Tensor) -> Picture:
-    """uint8 ``(h, w, 3)`` of an image ``(3, h, w)`` in [0, 1]."""
-    return (image.clamp(0, 1) * 255).round().byte().permute(1, 2, 0).numpy()  # type: ignore[no-any-return]
-
-
 def camera_picture(image: Tensor, rows: int) -> Picture:
     """uint8 ``(rows, w, 3)`` of an image ``(3, h, w)`` in [0, 1], at most twice as wide as high."""
-    picture = color_picture(image)
+    picture = as_bytes(image)
     width = min(2 * rows, round(rows * picture.shape[1] / picture.shape[0]))
     return cv2.resize(picture, (width, rows), interpolation=cv2.INTER_AREA)  # type: ignore[return-value]
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any
 
 import torch
@@ -19,6 +18,7 @@ from sphericalvision.recipes.evaluation.methods import SCALE, Answer
 from sphericalvision.recipes.evaluation.track_frames import TrackFrame
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import depth_from_index, index_from_inverse_depth
+from sphericalvision.sweep.ring_mean import ids_of_coarser_level
 
 __all__ = ["KEPT", "REGIONS", "FrameTruth", "PlaceErrors"]
 
@@ -41,7 +41,7 @@ class FrameTruth:
 
     def __init__(self, frame: TrackFrame) -> None:
         self.name, self.fine = frame.name, Icosphere(level_from_num_vertices(frame.inverse_depth.shape[-1]))
-        self.coarse_ids = coarse_ids(self.fine.level)
+        self.coarse_ids = ids_of_coarser_level(self.fine.level, self.fine.level - 2)
         self.index = index_from_inverse_depth(frame.inverse_depth, *SCALE)
         self.valid = frame.inverse_depth <= 1 / SCALE.min_depth
         self.inverse_depth = frame.inverse_depth.where(self.valid, 0.0)
@@ -123,12 +123,6 @@ class PlaceErrors:
             ),
             "points": {region: 100 * mask.float().mean()[None] for region, mask in truth.regions.items()},
         }
-
-
-@lru_cache(maxsize=4)
-def coarse_ids(level: int) -> Tensor:
-    """Numbers of the vertices that the icosphere two levels coarser has, too."""
-    return Icosphere(level).coarse_ids[Icosphere(level - 1).coarse_ids]
 
 
 def _two_see(rig: CameraRig, directions: Tensor, inverse_depth: Tensor) -> Tensor:

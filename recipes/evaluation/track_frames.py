@@ -24,7 +24,7 @@ from sphericalvision.models.weights.files import identity_of
 from sphericalvision.recipes.app.kinds import STRICT, Count
 from sphericalvision.recipes.evaluation.tracks import Track
 from sphericalvision.scenes import render_directions
-from sphericalvision.scenes.cache import ArrayCache
+from sphericalvision.scenes.cache import ArrayCache, decode, encode
 from sphericalvision.scenes.meshes import mesh_files
 from sphericalvision.scenes.world import NATURAL_MIN_DEPTH, World, WorldFrame, rendered
 from sphericalvision.sphere import Equirectangular
@@ -162,9 +162,9 @@ def _rendered(name: str, cache: Path | None, frame: WorldFrame) -> Mapping[str, 
     folder = None if cache is None else cache / f"benchmark-{rig_fingerprint(frame.true_rig, numbers)}"
 
     def make() -> dict[str, Tensor]:
-        return {name: (255 * image).round().byte() for name, image in rendered(frame).items()}
+        return {name: encode(image) for name, image in rendered(frame).items()}
 
-    return {key: image.float() / 255 for key, image in ArrayCache(folder).get(name, make).items()}
+    return {key: decode(image) for key, image in ArrayCache(folder).get(name, make).items()}
 
 
 def _aligned(rig: CameraRig, images: Mapping[str, Tensor]) -> CameraRig:

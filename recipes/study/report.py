@@ -12,10 +12,11 @@ from matplotlib.figure import Figure
 from omegaconf import DictConfig
 from torch import Tensor
 
+from sphericalvision.io.images import as_bytes
 from sphericalvision.metrics import DepthIndexError
 from sphericalvision.recipes.evaluation.loop import SampleFrames
 from sphericalvision.recipes.evaluation.methods import Method
-from sphericalvision.recipes.evaluation.pictures import DrawnFrame, Picture, camera_picture, color_picture
+from sphericalvision.recipes.evaluation.pictures import DrawnFrame, Picture, camera_picture
 from sphericalvision.recipes.evaluation.protocols import Protocols
 from sphericalvision.recipes.evaluation.records import Record
 from sphericalvision.recipes.evaluation.results import Column, Results
@@ -113,7 +114,7 @@ def drawn_frame(
     depth = icosphere_to_panorama(truth.inverse_depth[0].float(), height).reciprocal()
     images = {name: unsigned(image) for name, image in zip(rig.names, batch["fisheye"][0], strict=True)}
     colors, seen = rgb_panorama(rig, images, height, depth)
-    view = color_picture(colors.where(seen, torch.tensor(0.6)))
+    view = as_bytes(colors.where(seen, torch.tensor(0.6)))
     index = truth.indices[0].where(truth.valid[0], math.nan).float()
     camera = camera_picture(images[rig.names[0]], height)
     return DrawnFrame(camera, view, index, truth.counts[0], estimates, scale_of(config))

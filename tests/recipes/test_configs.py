@@ -183,13 +183,6 @@ COMMANDS = (
 )
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_composes(name: str) -> None:
-    config = composed(name)
-    assert "output" in config
-    assert OmegaConf.is_config(config)
-
-
 @pytest.mark.parametrize("name", [*(path.stem for path in FILES if path.parent == CONF), "study/_study"])
 def test_every_key_of_a_command_has_a_type(name: str) -> None:
     keys = {key for key in OmegaConf.load(CONF / f"{name}.yaml") if key not in ("hydra", "defaults")}

@@ -65,12 +65,6 @@ def test_one_camera_goes_to_the_file_of_another_program(run: Run, calibration: P
     torch.testing.assert_close(ocam.project(points).pixels, LENS.project(points).pixels, rtol=0, atol=0.02)
 
 
-def test_a_file_of_one_camera_is_converted_to_one_camera(run: Run, tmp_path: Path) -> None:
-    save_camera(LENS, tmp_path / "lens.yaml")
-    run("convert", "calibration=lens.yaml", "to=extended_unified", "output=lens.json", "format=basalt")
-    assert read_camera(tmp_path / "lens.json").model == "extended_unified"
-
-
 def test_without_output_nothing_is_written(
     run: Run, calibration: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -191,9 +185,17 @@ def test_two_calibrations_are_compared_by_the_angle_from_the_axis(
     assert "Poses" not in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("word", "model"), [("kb4", "kannala_brandt"), ("OPENCV_FISHEYE", "kannala_brandt")])
-def test_names_that_readers_know_are_models_to_convert_to(
-    run: Run, calibration: Path, word: str, model: str
+@pytest.mark.parametrize(
+    ("words", "file", "model"),
+    [
+        ("calibration=lens.yaml to=extended_unified format=basalt", "new.json", "extended_unified"),
+        ("calibration=rig.yaml camera=front to=kb4", "new.yaml", "kannala_brandt"),
+        ("calibration=rig.yaml camera=front to=OPENCV_FISHEYE", "new.yaml", "kannala_brandt"),
+    ],
+)
+def test_one_camera_is_converted_to_models_by_all_their_names(
+    run: Run, calibration: Path, words: str, file: str, model: str
 ) -> None:
-    run("convert", f"calibration={calibration}", f"to={word}", "output=new.yaml", "camera=front")
-    assert read_camera(calibration.parent / "new.yaml").model == model
+    save_camera(LENS, calibration.parent / "lens.yaml")
+    run("convert", *typed(words), f"output={file}")
+    assert read_camera(calibration.parent / file).model == model

@@ -181,7 +181,10 @@ def test_frames_that_are_recorded_are_not_asked_for_again(frames: dict[str, Any]
     assert len(asked) == 3
 
 
-def test_the_command_evaluates_as_predict_predicts(run: Run, tmp_path: Path) -> None:
+def test_the_command_evaluates_as_predict_predicts(
+    run: Run, failing: Callable[..., str], tmp_path: Path
+) -> None:
+    """And writes no table where nothing is confident enough."""
     words = "checkpoint=icosweepnet-small", "model.level=4", "device=cpu", *TINY_SCENES
     for name, more in (
         ("plain", ()),
@@ -196,6 +199,9 @@ def test_the_command_evaluates_as_predict_predicts(run: Run, tmp_path: Path) -> 
     assert errors["used"]["MAE"] == pytest.approx(errors["plain"]["MAE"], rel=0.05)
     assert 0 < errors["scene"]["kept"] < 100
     assert errors["scene"]["MAE"] != errors["plain"]["MAE"]
+    message = failing("evaluate", *words, "min_confidence=1.0", "output=none")
+    assert "min_confidence=1: icosweepnet-small" in message
+    assert not (tmp_path / "none/metrics.json").exists()
 
 
 def test_further_methods_see_the_same_frames(
@@ -208,13 +214,3 @@ def test_further_methods_see_the_same_frames(
     assert list(errors) == ["weights", "semi-global-sweep", "other"]
     assert errors["other"] == errors["weights"] != errors["semi-global-sweep"]
     assert "weights is given twice" in failing("evaluate", *words, "methods=[weights.safetensors]")
-
-
-def test_no_table_is_written_where_nothing_is_confident_enough(
-    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = "checkpoint=icosweepnet-small", "model.level=4", "device=cpu", *TINY_SCENES
-    with pytest.raises(SystemExit):
-        run("evaluate", *words, "min_confidence=1.0", "output=none")
-    assert "min_confidence=1: icosweepnet-small" in capsys.readouterr().err
-    assert not (tmp_path / "none/metrics.json").exists()

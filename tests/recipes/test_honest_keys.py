@@ -173,11 +173,3 @@ def test_every_key_of_data_is_looked_at_or_refused(
         key for key in keys if key not in found and not unused_key(keys_of("train"), config, [f"data.{key}"])
     ]
     assert forgotten == []
-
-
-@pytest.mark.usefixtures("capture")
-def test_tilts_count_in_an_evaluation(run: Run, tmp_path: Path) -> None:
-    words = ("checkpoint=weights.safetensors", *TINY_SCENES, "data.cache_dir=null", "device=cpu")
-    for name, more in (("level", ()), ("tilted", ("data.tilts_deg=[30,30]",))):
-        run("evaluate", *words, *more, f"output={name}")
-    assert (tmp_path / "level/metrics.csv").read_text() != (tmp_path / "tilted/metrics.csv").read_text()

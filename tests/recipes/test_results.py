@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -12,23 +11,12 @@ import torch
 import trimesh
 
 from sphericalvision.cameras import ring_rig
-from sphericalvision.capture.outputs import Outputs, save_frame
-from sphericalvision.capture.panoramas import Panoramas
+from sphericalvision.capture.outputs import Outputs
 from sphericalvision.capture.result_folder import Settings
 from sphericalvision.capture.writers import OUTPUTS
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.images import read_image
 from tests.worlds import ball
-
-
-def test_points_that_no_camera_sees_are_not_in_the_cloud(tmp_path: Path) -> None:
-    """One camera looks forward; a network says something about what is behind it, too."""
-    rig = ring_rig(2, field_of_view=math.radians(120), image_size=(64, 64)).subset([0])
-    save_frame(tmp_path, "", Panoramas(ball(rig), 32), Settings(["cloud"]))
-    points = torch.from_numpy(np.asarray(trimesh.load(tmp_path / "points.ply").vertices)).float() - rig.center
-    angles = torch.atan2(points[:, :2].norm(dim=1), points[:, 2])
-    assert len(points)
-    assert angles.max() < math.radians(61)
 
 
 def test_every_output_is_what_it_says(tmp_path: Path) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -40,29 +42,26 @@ def imported(program: str) -> set[str]:
 
 
 SLOW = ("train", "evaluate", "demo")
-QUICK = tuple(command for command in COMMANDS if command not in SLOW)
-
-
-def imports_of(*commands: str) -> dict[str, set[str]]:
-    """The modules that the work of each of these commands loads."""
-    programs = (f"import sphericalvision.recipes.commands.{command}" for command in commands)
-    return dict(zip(commands, modules_after(*programs), strict=True))
 
 
 @pytest.fixture(scope="module")
-def quick_imports() -> dict[str, set[str]]:
-    return imports_of(*QUICK)
+def imports() -> Callable[[str], set[str]]:
+    """The modules that the work of a command loads; those of the quick ones are asked for together."""
+    quick = [command for command in COMMANDS if command not in SLOW]
+
+    @cache
+    def of(*commands: str) -> dict[str, set[str]]:
+        programs = (f"import sphericalvision.recipes.commands.{command}" for command in commands)
+        return dict(zip(commands, modules_after(*programs), strict=True))
+
+    return lambda command: of(*([command] if command in SLOW else quick))[command]
 
 
-@pytest.mark.parametrize("command", QUICK)
-def test_a_command_imports_only_what_it_uses(command: str, quick_imports: dict[str, set[str]]) -> None:
-    assert quick_imports[command].isdisjoint(COMMANDS[command])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("command", SLOW)
-def test_a_long_command_imports_only_what_it_uses(command: str) -> None:
-    assert imports_of(command)[command].isdisjoint(COMMANDS[command])
+@pytest.mark.parametrize(
+    "command", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in COMMANDS]
+)
+def test_a_command_imports_only_what_it_uses(command: str, imports: Callable[[str], set[str]]) -> None:
+    assert imports(command).isdisjoint(COMMANDS[command])
 
 
 @pytest.mark.parametrize("command", [*COMMANDS, "study", "speed"])

@@ -105,10 +105,7 @@ PLAUSIBLE = (0.005, 5.0)
 INVERTED = 1.05
 """Ratio of agreements from which on a trajectory seems to be inverted: of a walk straight ahead it is 1.11, of one with
 turns 1.8."""
-FREE = (
-    *("frames", "start", "stop", "every", "outputs", "output"),
-    *("skip_existing", "on_error", "device"),
-)
+FREE = ("frames", "start", "stop", "every", "outputs", "output", "skip_existing", "on_error", "device")
 """Settings that may change between runs into one folder."""
 
 

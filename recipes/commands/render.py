@@ -17,7 +17,7 @@ from torch.utils.data import DataLoader
 
 from sphericalvision.cameras import CameraRig, EquirectangularCamera
 from sphericalvision.cameras.fingerprint import rig_fingerprint
-from sphericalvision.core import ArgumentError, FileFormatError
+from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
 from sphericalvision.data import write_omnistereo
 from sphericalvision.data.omnistereo.ground_truth import read_ground_truth
 from sphericalvision.data.omnistereo.releases import RELEASES, Release
@@ -136,10 +136,8 @@ def missing_frames(root: Path, frames: range, release: str, num_cameras: int) ->
         images = [root / f"cam{number + 1}" / f"{frame:05d}.png" for number in range(num_cameras)]
         return [*images, root / layout.ground_truth_folder / f"{frame:05d}{layout.suffix}"]
 
-    complete = [frame for frame in frames if all(path.is_file() for path in files_of(frame))]
-    reading = track(complete, "reading existing frames", console=console, disable=not complete)
-    readable = {frame for frame in reading if _can_be_read(files_of(frame), layout)}
-    return [frame for frame in frames if frame not in readable]
+    reading = track(frames, "reading existing frames", console=console, disable=not root.is_dir())
+    return [frame for frame in reading if not _can_be_read(files_of(frame), layout)]
 
 
 def _can_be_read(files: list[Path], layout: Release) -> bool:
@@ -148,6 +146,6 @@ def _can_be_read(files: list[Path], layout: Release) -> bool:
         for path in files[:-1]:
             read_image(path)
         read_ground_truth(files[-1], layout.min_depth)
-    except FileFormatError:
+    except (FileFormatError, MissingFileError):
         return False
     return True

@@ -21,11 +21,7 @@ from sphericalvision.recipes.app.cli import console, print_config
 from sphericalvision.recipes.app.kinds import STRICT, Count, Number, Positive, Text
 from sphericalvision.recipes.evaluation.loop import Limit, evaluate, limit_text
 from sphericalvision.recipes.evaluation.methods import SCALE, Method, check_names, make_method
-from sphericalvision.recipes.evaluation.pictures import (
-    DrawnFrame,
-    camera_picture,
-    frames_sheet,
-)
+from sphericalvision.recipes.evaluation.pictures import DrawnFrame, camera_picture, frames_sheet
 from sphericalvision.recipes.evaluation.places import KEPT, REGIONS, FrameTruth, PlaceErrors
 from sphericalvision.recipes.evaluation.records import Record, read_json, write_json
 from sphericalvision.recipes.evaluation.results import Results

@@ -11,13 +11,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import seen_by
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.metrics import (
-    depth_error,
-    depth_index_error,
-    evaluation_mask,
-    omnimvs_error,
-    seam_mask,
-)
+from sphericalvision.metrics import depth_error, depth_index_error, evaluation_mask, omnimvs_error, seam_mask
 from sphericalvision.recipes.evaluation.methods import Answer, Scale
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import depth_from_index, index_from_inverse_depth, inverse_depth_from_index

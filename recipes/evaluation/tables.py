@@ -207,16 +207,15 @@ def save_report(
         pictures: heading -> file in the folder.
         content: of the JSON.
     """
-    text = [f"# {title}"]
-    page = [f"<!doctype html><meta charset=utf-8><title>{html.escape(title)}</title>\n<style>{STYLE}</style>"]
+    sections = [(heading, table.markdown().rstrip(), table.html()) for heading, table in tables.items()]
+    for heading, file in pictures.items():
+        image = f'<img src="{html.escape(quote(file))}" loading="lazy" style="max-width:100%">'
+        sections.append((heading, f"![{heading}](<{file}>)", image))
+    text = [f"# {title}", *(f"## {heading}\n\n{body}" for heading, body, _ in sections)]
+    head = f"<!doctype html><meta charset=utf-8><title>{html.escape(title)}</title>\n<style>{STYLE}</style>"
+    page = [head, *(f"<h2>{html.escape(heading)}</h2>\n{body}" for heading, _, body in sections)]
     for heading, table in tables.items():
         table.save(folder / heading.replace(" ", "_"), ".md", ".csv")
-        text.append(f"## {heading}\n\n{table.markdown().rstrip()}")
-        page.append(f"<h2>{html.escape(heading)}</h2>\n{table.html()}")
-    for heading, file in pictures.items():
-        text.append(f"## {heading}\n\n![{heading}](<{file}>)")
-        image = f'<img src="{html.escape(quote(file))}" loading="lazy" style="max-width:100%">'
-        page.append(f"<h2>{html.escape(heading)}</h2>\n{image}")
     lines = [f"{json.dumps(heading)}: {json.dumps(table._asdict())}" for heading, table in tables.items()]
     write_bytes(folder / "tables.json", ("{\n" + ",\n".join(lines) + "\n}\n").encode())
     write_json(folder / f"{name}.json", content)

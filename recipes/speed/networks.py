@@ -20,14 +20,7 @@ from sphericalvision.icosphere import icosphere_vertices, num_icosphere_vertices
 from sphericalvision.kernels import kernels
 from sphericalvision.models import DepthNetwork, IcoSweepNet, SemiGlobalSweep
 from sphericalvision.recipes.app.cli import build
-from sphericalvision.recipes.speed.measuring import (
-    OURS,
-    Comparison,
-    Run,
-    added_memory,
-    random_images,
-    ways,
-)
+from sphericalvision.recipes.speed.measuring import OURS, Comparison, Run, added_memory, random_images, ways
 
 __all__ = ["convolutions", "network", "variants"]
 

@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from sphericalvision.models import IcoSweepNet, save_weights
-from tests.recipes.tiny import TINY_TRAINING, Run
+from tests.recipes.tiny import TINY_TRAINING, Run, typed
 
 
 def run_recipe(folder: Path, recipe: str, *arguments: str) -> None:
@@ -55,9 +55,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory, tiny_training: tuple[str, 
             folder,
             "train",
             *tiny_training,
-            "trainer.max_steps=2",
-            "output=run",
-            "callbacks.panels.num_frames=1",
+            *typed("trainer.max_steps=2 output=run callbacks.panels.num_frames=1"),
         )
     return Trained(folder / "run", printed.getvalue())
 

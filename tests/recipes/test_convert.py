@@ -90,15 +90,8 @@ def test_images_and_masks_are_drawn(run: Run, calibration: Path) -> None:
     for name in ("front", "right", "back", "left"):
         write_image(calibration.parent / name / "0.png", torch.rand(3, 304, 304))
         write_image(calibration.parent / name / "mask.png", torch.ones(1, 304, 304))
-    run(
-        "inspect",
-        f"calibration={calibration}",
-        "images={camera}/{frame}.png",
-        "masks={camera}/mask.png",
-        "frame=0",
-        "level=3",
-        "output=seen",
-    )
+    images = "images={camera}/{frame}.png masks={camera}/mask.png frame=0"
+    run(*typed(f"inspect calibration={calibration} {images} level=3 output=seen"))
     assert (calibration.parent / "seen/angles_left.png").is_file()
 
 

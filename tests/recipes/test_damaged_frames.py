@@ -54,11 +54,8 @@ def test_evaluation_goes_without_the_frame_and_says_so(
     without = tmp_path / "without"
     shutil.copytree(frames, without, ignore=shutil.ignore_patterns("00002*"))
     for root, more in ((frames, SKIP), (without, "data.on_error=stop")):
-        run(
-            "evaluate",
-            f"checkpoint={weights}",
-            *words(root, more, "data.num_workers=1", f"output={root.name}-out", "baselines=false"),
-        )
+        given = words(root, more, "data.num_workers=1", f"output={root.name}-out", "baselines=false")
+        run("evaluate", f"checkpoint={weights}", *given)
     tables = [json.loads((tmp_path / f"{name}-out/metrics.json").read_text()) for name in ("set", "without")]
     assert tables[0] == tables[1]
     said = capsys.readouterr().out

@@ -11,13 +11,14 @@ import pytest
 from sphericalvision.cameras import ring_rig, save_rig
 from sphericalvision.core import ArgumentError
 from sphericalvision.recipes.commands.train import instantiate_run
-from tests.recipes.tiny import TINY_TRAINING, composed
+from tests.recipes.tiny import TINY_SCENES, TINY_TRAINING, composed
 
 RIG = "calibration=capture/config.yaml"
 
 X = f"{RIG} images=x"
 SWEEP_ALONE = "models.icosweepnet=null models.omnimvs=null models.constant=null data.samples_per_pixel=1"
 EACH = f"{RIG} images={{camera}}.png"
+UNTURNED = f"experiment=quickstart data=fisheye_scenes data.panorama_size=[8,16] {' '.join(TINY_SCENES)}"
 PANORAMAS = "rig=equirect4 rig.image_size=[16,32] height=16 samples_per_pixel=1"
 
 WRONG_VALUES = (
@@ -144,6 +145,7 @@ FAULTS = (
     ("predict", f"{X} preset=paper", "known are fast, fine, finest, live"),
     ("study", "study=fast", "known are paper, random_tilts, small, tiny"),
     ("study", "study=tiny +models.semi_global.steps=2", "models.semi_global: expected one of"),
+    ("study", "study=tiny models.constant.train=null", "models.constant.train: a constant depth map"),
     ("study", "study=tiny extra_training=['optimizer.speed=1']", "optimizer.speed"),
     ("study", "study=tiny data=omnihouse data.root=x inputs=equirect", "takes rendered scenes"),
     ("calibrate", "board=9x6 square=0.03 images=nothing/*.png", "nothing/*.png"),
@@ -160,6 +162,11 @@ FAULTS = (
     ("train", "scheduler=linear", "scheduler=linear: there is no such option"),
     ("train", "data=spirs", "known are capture, "),
     ("train", "experiment=quickstart data.val_seed=10", "data.val_seed"),
+    (
+        "train",
+        f"{UNTURNED} data.cache_dir=null trainer.max_steps=1",
+        "data.panorama_size: turning by multiples of 72",
+    ),
     ("train", "experiment=quickstart rig.image_size=[32,32] data.kind=garden", "expected one of"),
 )
 """Command, words, and a part of what is said."""

@@ -22,7 +22,7 @@ from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.app.own_files import import_own_files
 from sphericalvision.recipes.app.rigs import make_ring
-from tests.recipes.tiny import TINY_SCENES, Run, composed
+from tests.recipes.tiny import TINY_SCENES, Run, composed, typed
 from tests.worlds import recorded_frames
 
 Words = tuple[str, ...]
@@ -38,13 +38,7 @@ def test_another_data_set_takes_the_place_of_the_experiments(run: Run, tmp_path:
     short = ("trainer.max_steps=1", "trainer.val_check_interval=1", "data.num_workers=0", "logger=none")
     run("train", "experiment=quickstart", *words, *NETWORK, *short, "output=run", "callbacks=none")
     assert (tmp_path / "run/validation.json").is_file()
-    for word in (
-        "rig=equirect4",
-        "scheduler=step",
-        "scheduler=one_cycle",
-        "model=omnimvs_small",
-        "optimizer=sgd",
-    ):
+    for word in typed("rig=equirect4 scheduler=step scheduler=one_cycle model=omnimvs_small optimizer=sgd"):
         config = composed("train", "experiment=quickstart", word)
         group = word.partition("=")[0]
         assert build(config[group], group) is not None

@@ -28,7 +28,7 @@ from sphericalvision.models import WinnerTakesAll
 from sphericalvision.recipes.commands import predict as commands
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.sphere import Equirectangular
-from tests.recipes.tiny import Run
+from tests.recipes.tiny import Run, typed
 
 SCENE = make_scene("room", seed=4)
 SIZE = (120, 120)
@@ -71,19 +71,10 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def words(capture: Path, output: str, frames: str = "[0]") -> list[str]:
-    return [
-        f"calibration={capture}/rig.yaml",
-        f"images={capture}/{{camera}}/{{frame}}.png",
-        "level=5",
-        "min_depth=0.55",
-        "outputs=[npz]",
-        "height=32",
-        "device=cpu",
-        "align=false",
-        f"frames={frames}",
-        f"output={output}",
-    ]
+def words(capture: Path, output: str, frames: str = "[0]") -> tuple[str, ...]:
+    images = f"calibration={capture}/rig.yaml images={capture}/{{camera}}/{{frame}}.png frames={frames}"
+    options = "level=5 min_depth=0.55 outputs=[npz] height=32 device=cpu align=false"
+    return typed(f"{images} {options} output={output}")
 
 
 def error(path: Path) -> float:

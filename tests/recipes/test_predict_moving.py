@@ -31,10 +31,10 @@ from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.images import read_image, write_image, write_mask
 from sphericalvision.models import SemiGlobalSweep
+from sphericalvision.recipes.app import checks
 from sphericalvision.recipes.app.captures import PosedCapture
-from sphericalvision.recipes.app.checks import typed
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
-from tests.recipes.tiny import Run, composed
+from tests.recipes.tiny import Run, composed, typed
 
 SIZE = (24, 48)
 NUMBER = 7
@@ -55,7 +55,7 @@ def capture(tmp_path: Path) -> Path:
 TWO = ring_rig(2, radius=0.1, image_size=(48, 48))
 """A fisheye to the front and one to the back, which see next to nothing twice."""
 SCENE = make_scene("room", seed=10_100_003)
-COARSE = ("method=semi_global", "level=4", "num_hypotheses=16", "min_depth=0.5")
+COARSE = "method=semi_global level=4 num_hypotheses=16 min_depth=0.5"
 
 
 @pytest.fixture
@@ -80,13 +80,9 @@ def drive(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def of_drive(drive: Path) -> list[str]:
-    return [
-        f"calibration={drive}/rig.yaml",
-        f"images={drive}/drive",
-        f"poses={drive}/poses.txt",
-        *("output=out", "outputs=[npz]", "height=16", "device=cpu", "align=false", *COARSE),
-    ]
+def of_drive(drive: Path) -> tuple[str, ...]:
+    images = f"calibration={drive}/rig.yaml images={drive}/drive poses={drive}/poses.txt"
+    return typed(f"{images} output=out outputs=[npz] height=16 device=cpu align=false {COARSE}")
 
 
 def test_poses_of_a_robots_frame_are_those_of_its_rig(run: Run, drive: Path, tmp_path: Path) -> None:
@@ -130,27 +126,16 @@ def test_one_camera_without_poses_is_told_what_is_missing(calibration: str, tmp_
 
 def keys(capture: Path, **given: Any) -> PosedCapture:
     """What ``predict`` is told of where the images and their poses are."""
-    return typed(PosedCapture, {**composed("predict", *inputs(capture)), **given})
+    return checks.typed(PosedCapture, {**composed("predict", *inputs(capture)), **given})
 
 
 def inputs(capture: Path) -> tuple[str, ...]:
     return "calibration=equirectangular", f"images={capture / 'walk'}", f"poses={capture / 'poses.txt'}"
 
 
-def words(capture: Path) -> list[str]:
-    return [
-        *inputs(capture),
-        "up=z",
-        "spacing=0.1",
-        "method=semi_global",
-        "level=3",
-        "num_hypotheses=8",
-        "min_depth=0.5",
-        "output=out",
-        "outputs=[npz]",
-        "height=16",
-        "device=cpu",
-    ]
+def words(capture: Path) -> tuple[str, ...]:
+    sweep = "method=semi_global level=3 num_hypotheses=8 min_depth=0.5"
+    return inputs(capture) + typed(f"up=z spacing=0.1 {sweep} output=out outputs=[npz] height=16 device=cpu")
 
 
 def test_windows_are_the_rigs_that_poses_say(run: Run, capture: Path, tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ from sphericalvision.io.images import read_image, write_image
 from sphericalvision.models import SemiGlobalSweep
 from sphericalvision.recipes.app.captures import Capture
 from sphericalvision.scenes import make_scene, render_rig
-from tests.recipes.tiny import Run, write_capture, write_streams
+from tests.recipes.tiny import Run, typed, write_capture, write_streams
 
 SIZE = (32, 40)
 FRAMES = 7
@@ -179,14 +179,7 @@ def test_a_file_of_two_lenses_is_a_panorama_in_one_command(
     frames = {name: (255 * image).byte().movedim(0, -1).numpy() for name, image in images.items()}
     write_capture(tmp_path, rig, images)
     write_streams(tmp_path / "VID.insv", [[frames[name]] * 2 for name in rig.names])
-    words = (
-        "calibration=rig.yaml",
-        "outputs=[panorama]",
-        "height=64",
-        "level=3",
-        "method=semi_global",
-        "align=false",
-    )
+    words = typed("calibration=rig.yaml outputs=[panorama] height=64 level=3 method=semi_global align=false")
     run("predict", *words, "images=VID.insv", "output=video")
     assert "Images: cam1 is stream 0, cam2 is stream 1." in capsys.readouterr().out
     run("predict", *words, "images={camera}/{frame}.png", "output=pictures")

@@ -16,7 +16,7 @@ from sphericalvision.io.yaml_files import write_yaml
 from sphericalvision.recipes.app.rigs import make_ring
 from sphericalvision.recipes.commands.render import numbered_frame
 from sphericalvision.scenes import World
-from tests.recipes.tiny import Run
+from tests.recipes.tiny import Run, typed
 from tests.worlds import recorded_frames
 
 TINY = ("rig.image_size=[32,32]", "samples_per_pixel=1", "height=32")
@@ -40,13 +40,8 @@ def test_a_rendered_set_is_read_back_and_evaluated(
             got["rig"].world_from_camera, made["rig"].world_from_camera, rtol=0, atol=1e-5
         )
 
-    data = (
-        "data=omnistereo",
-        f"data.root={root}",
-        "data.test_split=all",
-        "data.train_split=all",
-        "data.num_workers=0",
-    )
+    splits = "data.test_split=all data.train_split=all data.num_workers=0"
+    data = typed(f"data=omnistereo data.root={root} {splits}")
     run("evaluate", *data, f"checkpoint={weights}", "baselines=true", "output=table", "device=cpu")
     table = json.loads((tmp_path / "table/metrics.json").read_text())
     assert list(table) == [

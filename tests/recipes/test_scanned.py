@@ -57,7 +57,7 @@ from tests.recipes.scanned_sets import (
     write_widedepth,
 )
 from tests.recipes.test_predict_streams import write_video
-from tests.recipes.tiny import TINY_SCENES, TINY_TRAINING, Run, command_after
+from tests.recipes.tiny import TINY_SCENES, TINY_TRAINING, Run, command_after, typed
 
 TINY_NETWORK = tuple(word for word in TINY_TRAINING if word not in TINY_SCENES)
 
@@ -144,14 +144,8 @@ def test_published_sets_are_trained_and_evaluated_by_the_commands(
     root = write(tmp_path / "None of it")
     name = write.__name__.removeprefix("write_")
     named = [f"data.{split}={splits[0]}" for split in ("train", "val", "test") if splits]
-    words = (
-        f"data={name}",
-        f"data.root={root}",
-        *named,
-        *splits[1:],
-        "data.truth_height=24",
-        "data.num_workers=0",
-    )
+    more = (*named, *splits[1:], "data.truth_height=24", "data.num_workers=0")
+    words = (f"data={name}", f"data.root={root}", *more)
     one = ("trainer.max_steps=1", "trainer.val_check_interval=1", "callbacks.panels=null")
     run("train", *TINY_NETWORK, *words, *one, "output=trained")
     printed = capsys.readouterr().out
@@ -176,14 +170,9 @@ def test_a_scan_of_ones_own_beside_its_images_is_evaluated(
     rig = ring_rig(4, image_size=(32, 32))
     write_own(tmp_path, rig, ("1", "2"))
     pose = read_trajectory(tmp_path / "lidar.txt").world_from_camera[0].float()
-    words = (
-        "data=scanned",
-        f"data.images='{tmp_path}/{{camera}}/{{frame}}.png'",
-        f"data.calibration={tmp_path}/rig.yaml",
-        f"data.points={tmp_path}/scans",
-        "data.truth_height=32",
-        "data.num_workers=0",
-    )
+    images = f"data.images={tmp_path}/{{camera}}/{{frame}}.png data.calibration={tmp_path}/rig.yaml"
+    more = f"data.points={tmp_path}/scans data.truth_height=32 data.num_workers=0"
+    words = typed(f"data=scanned {images} {more}")
     run("evaluate", f"checkpoint={weights}", *words, f"data.lidar_pose={tmp_path}/lidar.txt", "output=out")
     assert (tmp_path / "out" / "metrics.json").is_file()
     files = {"1": {name: tmp_path / name / "1.png" for name in rig.names}}

@@ -14,7 +14,7 @@ import torch
 
 from sphericalvision.recipes.app.rigs import make_ring
 from tests.processes import modules_after, python
-from tests.recipes.tiny import write_capture
+from tests.recipes.tiny import typed, write_capture
 
 LIGHTNING = ("pytorch_lightning", "lightning_fabric", "tensorboard", "torch._inductor")
 SCENES = ("skimage", "kornia", "scipy")
@@ -83,16 +83,9 @@ def test_one_frame_is_predicted_without_what_it_does_not_need(
     """Not only what the files import: what the work does, from the calibration to the point cloud."""
     rig = make_ring(image_size=(32, 32))
     write_capture(tmp_path, rig, {name: torch.rand(3, 32, 32) for name in rig.names}, file="{camera}.png")
-    words = [
-        "x",
-        "calibration=rig.yaml",
-        "images={camera}.png",
-        f"checkpoint={weights}",
-        "output=out",
-        "height=16",
-        f"align={str(align).lower()}",
-    ]
-    program = f"import os, sys; os.chdir({str(tmp_path)!r}); sys.argv = {words}\n"
+    words = typed(f"x calibration=rig.yaml images={{camera}}.png checkpoint={weights} output=out height=16")
+    words += (f"align={str(align).lower()}",)
+    program = f"import os, sys; os.chdir({str(tmp_path)!r}); sys.argv = [*{words}]\n"
     modules = imported(program + "from sphericalvision.recipes.predict import main; main()")
     assert (tmp_path / "out/points.ply").is_file()
     needless = {*COMMANDS["predict"], *BLURS_WITH} - ({*BLURS_WITH} if align else set())

@@ -18,7 +18,6 @@ from hydra import compose, initialize_config_module
 from omegaconf import DictConfig
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.core import ArgumentError
 from sphericalvision.data import write_omnistereo
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image
@@ -34,7 +33,7 @@ from sphericalvision.recipes.evaluation.records import write_json
 from sphericalvision.recipes.evaluation.tables import Table, save_report
 from sphericalvision.recipes.study.models import study_models
 from sphericalvision.recipes.study.tilted_views import View, view_frames
-from tests.recipes.tiny import Run, composed
+from tests.recipes.tiny import Run, composed, typed
 from tests.worlds import recorded_frames
 
 SCALE = Scale(num_hypotheses=8, min_depth=0.55)
@@ -151,13 +150,7 @@ def test_pages_show_names_as_they_are(tmp_path: Path) -> None:
 def words(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, ...]:
     """Words of the smallest study; its scenes are rendered once for all tests."""
     cache = tmp_path_factory.mktemp("study_scenes")
-    return (
-        "study=tiny",
-        "data.num_workers=0",
-        "data.samples_per_pixel=1",
-        f"data.cache_dir={cache}",
-        "output=out",
-    )
+    return typed(f"study=tiny data.num_workers=0 data.samples_per_pixel=1 data.cache_dir={cache} output=out")
 
 
 class Trainer:
@@ -324,9 +317,3 @@ def test_trainings_of_a_preset_differ_in_the_model_alone(preset: str) -> None:
             assert training.model.get("level", config.model.level) == config.model.level
         models = [build(training.model) for training in trainings]
     assert [type(net).__name__ for net in models] == ["IcoSweepNet", "OmniMVS"]
-
-
-def test_a_constant_needs_a_training_set() -> None:
-    config = composed("study", "study=tiny", "models.constant.train=null")
-    with pytest.raises(ArgumentError, match=r"models\.constant\.train"):
-        study_models(config)

@@ -43,20 +43,6 @@ from sphericalvision.recipes.app.kinds import (
 from sphericalvision.recipes.app.rigs import Calibration, keys_named, names_of
 from sphericalvision.sphere.intake import as_photographs
 
-__all__ = [
-    "AUTO",
-    "FLOOR",
-    "Capture",
-    "CaptureFields",
-    "PosedCapture",
-    "cameras_and_labels",
-    "cut_to_visible",
-    "print_labels",
-    "recorded_names",
-    "recorded_photographs",
-    "with_own_body_masked",
-]
-
 AUTO = "auto"
 """In place of a pattern of masks: those of the rig's own body, found in the frames."""
 FIELD = re.compile(r"\{(camera|frame)[^{}]*\}")

@@ -13,8 +13,6 @@ from sphericalvision.core import ArgumentError, FileFormatError, first_line
 from sphericalvision.models import DepthNetwork, IcoSweepNet, RefinedSweepNet
 from sphericalvision.models.weights.checkpoints import read_network
 
-__all__ = ["initialize", "read_checkpoint", "refuse_others"]
-
 Content = TypeVar("Content")
 
 

@@ -20,18 +20,6 @@ from typing_extensions import is_typeddict
 from sphericalvision.core import ArgumentError
 from sphericalvision.recipes.app.kinds import OnlyWith
 
-__all__ = [
-    "check_keys",
-    "check_node",
-    "checked",
-    "expected",
-    "flat",
-    "hints_of",
-    "marks_of",
-    "typed",
-    "unused_key",
-]
-
 T = TypeVar("T")
 
 TYPES = {

@@ -23,17 +23,6 @@ from sphericalvision.io.yaml_files import read_yaml
 from sphericalvision.recipes.app.checks import check_node, flat
 from sphericalvision.recipes.app.words import unquote_paths
 
-__all__ = [
-    "build",
-    "check_settings",
-    "choose_device",
-    "console",
-    "print_config",
-    "print_table",
-    "read_settings",
-    "say",
-]
-
 
 class _Console(Console):
     """A console that leaves a closed pipe to the command; rich would end it with status 1 and no word."""

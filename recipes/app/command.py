@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-__all__ = ["Command"]
-
 NEEDED = (
     "hydra",
     "omegaconf",

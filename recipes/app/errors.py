@@ -20,8 +20,6 @@ from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from sphericalvision.recipes.app.help import keys_of, options_of
 
-__all__ = ["FAILURE", "override_message", "plain_errors", "refuse", "report_failure", "several_processes"]
-
 FAILURE = "failed.txt"
 """File in the folder of a sweep's run: the reason of its failure."""
 PLUGINS = {"hydra/sweeper": "optuna", "hydra/launcher": "launchers"}

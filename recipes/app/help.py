@@ -15,8 +15,6 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.object_type import ObjectType
 from omegaconf import DictConfig, OmegaConf
 
-__all__ = ["Key", "heading", "keys_of", "options_of", "print_help", "read_keys", "walk"]
-
 FLAGS = """
 Flags:
   --multirun, -m      several values for a key: seed=0,1,2 (one run each, a table at the end)

@@ -10,23 +10,6 @@ from typing import Annotated, Literal
 from annotated_types import Ge, Gt, Le, MinLen
 from pydantic import ConfigDict, Field, Strict
 
-__all__ = [
-    "STRICT",
-    "Count",
-    "Device",
-    "Distance",
-    "FullAngle",
-    "HalfAngle",
-    "Names",
-    "Number",
-    "OnlyWith",
-    "Positive",
-    "Share",
-    "Size",
-    "Text",
-    "Unit",
-]
-
 STRICT = ConfigDict(strict=True)
 """For dataclasses of keys: types are exact, no text for a number, no boolean for an integer."""
 

@@ -13,8 +13,6 @@ from omegaconf import DictConfig, OmegaConf
 
 from sphericalvision.recipes.app.errors import FAILURE
 
-__all__ = ["MultirunTable", "multirun_rows"]
-
 
 class MultirunTable(Callback):
     """A callback of Hydra's: prints the table of a multi-run and writes it, ``sweep.md`` and ``sweep.json``."""

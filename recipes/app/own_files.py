@@ -10,8 +10,6 @@ from pathlib import Path
 
 from sphericalvision.core import ArgumentError
 
-__all__ = ["import_own_files"]
-
 
 def import_own_files(folder: str | Path) -> None:
     """Import the Python files in a folder, so that what they register is known and ``_target_`` can name the rest.

@@ -24,17 +24,6 @@ from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.recipes.app.kinds import STRICT, Count, FullAngle, HalfAngle, Positive, Size, Text, Unit
 
-__all__ = [
-    "Calibration",
-    "keys_named",
-    "make_corner_rig",
-    "make_panorama_ring",
-    "make_ring",
-    "names_of",
-    "radians",
-    "rig_from_file",
-]
-
 
 def make_ring(
     num_cameras: Count = 4,

@@ -45,8 +45,6 @@ from sphericalvision.recipes.app.help import print_help
 from sphericalvision.recipes.app.words import first_values, quote_paths, read_words
 from sphericalvision.threads import prepare_threads
 
-__all__ = ["config_space", "run_command"]
-
 CONF = "sphericalvision.conf"
 
 

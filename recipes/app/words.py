@@ -19,17 +19,6 @@ from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-__all__ = [
-    "evaluate_command",
-    "first_values",
-    "own_configs",
-    "quote_paths",
-    "read_words",
-    "resume_command",
-    "unquote_paths",
-]
-
-
 SHORT = {"--help": ("-h",), "--multirun": ("-m",), "--shell-completion": ("-sc",), "--run": ("-r",)}
 INFO = ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")
 """What Hydra's ``--info`` prints."""

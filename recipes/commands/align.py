@@ -24,8 +24,6 @@ from sphericalvision.recipes.app.captures import Capture, recorded_names, record
 from sphericalvision.recipes.app.cli import choose_device, console, print_table
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Text
 
-__all__ = ["AlignConfig", "align"]
-
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class AlignConfig:

@@ -32,8 +32,6 @@ from sphericalvision.recipes.app.cli import console, print_table
 from sphericalvision.recipes.app.kinds import STRICT, Count, FullAngle, Names, OnlyWith, Positive, Text
 from sphericalvision.recipes.app.rigs import keys_named
 
-__all__ = ["CalibrateConfig", "board_of", "calibrate"]
-
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class CalibrateConfig:

@@ -33,8 +33,6 @@ from sphericalvision.recipes.app.cli import console, print_table
 from sphericalvision.recipes.app.kinds import STRICT, Count, HalfAngle, OnlyWith, Text
 from sphericalvision.recipes.app.rigs import Calibration, keys_named, radians
 
-__all__ = ["ConvertConfig", "convert"]
-
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class ConvertConfig:

@@ -37,8 +37,6 @@ from sphericalvision.sweep import index_from_inverse_depth
 from sphericalvision.viz import depth_panorama, error_panorama, sheet
 from sphericalvision.viz.figure import strip
 
-__all__ = ["DemoConfig", "demo"]
-
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class DemoConfig:

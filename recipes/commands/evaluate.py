@@ -49,8 +49,6 @@ from sphericalvision.recipes.evaluation.methods import (
 from sphericalvision.recipes.evaluation.strips import StripErrors, table_with_published
 from sphericalvision.recipes.evaluation.tables import Table, save_errors
 
-__all__ = ["EvaluateKeys", "evaluate_checkpoint"]
-
 
 @with_config(STRICT)
 class EvaluateKeys(TypedDict, total=False):

@@ -33,8 +33,6 @@ from sphericalvision.recipes.app.kinds import STRICT, Count, Positive, Text
 from sphericalvision.recipes.app.rigs import Calibration, names_of
 from sphericalvision.scenes import make_scene, render_rig
 
-__all__ = ["ExportConfig", "export"]
-
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class ExportConfig:

@@ -28,8 +28,6 @@ from sphericalvision.recipes.app.rigs import Calibration, keys_named
 from sphericalvision.sphere.intake import as_photographs
 from sphericalvision.viz import angle_map, coverage_panorama, rig_picture
 
-__all__ = ["InspectConfig", "inspect", "print_cameras", "print_poses", "save_pictures"]
-
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class InspectConfig:

@@ -55,9 +55,6 @@ from sphericalvision.sphere.intake import as_photographs
 if TYPE_CHECKING:
     from sphericalvision.capture.hint_files import HintFiles
 
-__all__ = ["PredictConfig", "open_frames", "predict", "predictor_for"]
-
-
 WITH_POINTS = OnlyWith("outputs=cloud|glb|fused|splat", "outputs=[cloud], [glb], [fused] or [splat]")
 WITH_SURFACE = OnlyWith(
     "outputs=cloud|glb|mesh|fused|splat", "outputs=[cloud], [glb], [mesh], [fused] or [splat]"

@@ -29,8 +29,6 @@ from sphericalvision.scenes.meshes import MeshFiles, mesh_files
 from sphericalvision.scenes.samples import recorded_sample
 from sphericalvision.scenes.world import NATURAL_MIN_DEPTH, World
 
-__all__ = ["RECORD", "RenderConfig", "missing_frames", "render", "settings_of"]
-
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class RenderConfig:

@@ -37,9 +37,6 @@ from sphericalvision.recipes.training.run_folder import (
 )
 from sphericalvision.recipes.training.stages import train_stages
 
-__all__ = ["Run", "TrainKeys", "instantiate_run", "train"]
-
-
 TrainerKeys = TypedDict(  # noqa: UP013 (Lightning has these names, this file has not: as a class they are dead code)
     "TrainerKeys",
     {

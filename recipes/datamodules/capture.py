@@ -40,8 +40,6 @@ from sphericalvision.scenes.cache import decode, encode
 from sphericalvision.scenes.disturbances import RandomFaults
 from sphericalvision.scenes.world import HELD_OUT_SEED, NATURAL_MIN_DEPTH
 
-__all__ = ["CaptureDataModule", "rehearsed_world"]
-
 MOST_ROWS, RENDERED_ROWS = 512, 256
 """Of images that are kept, finer than an icosphere of level 6; and of those that are rendered."""
 NUM_RENDERED = 100_000

@@ -23,8 +23,6 @@ from sphericalvision.scenes import WorldSamples
 from sphericalvision.scenes.cache import ArrayCache, Kept
 from sphericalvision.scenes.samples import images_as_floats
 
-__all__ = ["SamplesWithClues", "clues_of", "prior_of"]
-
 Sample = dict[str, Any]
 
 

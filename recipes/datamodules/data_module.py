@@ -18,14 +18,6 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.data.collate import collate_samples
 from sphericalvision.recipes.app.kinds import Count, Number
 
-__all__ = [
-    "PreparedSamples",
-    "SampleDataModule",
-    "TrainingBatches",
-    "TrainingStream",
-    "even_batches",
-]
-
 ENDLESS = 2**40
 BATCHES_AHEAD = 3
 """Of each process that prepares samples: one large batch among small ones is not waited for at once."""

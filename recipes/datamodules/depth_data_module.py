@@ -13,8 +13,6 @@ from sphericalvision.data import SampleView
 from sphericalvision.recipes.datamodules.data_module import SampleDataModule
 from sphericalvision.scenes.world import NATURAL_MIN_DEPTH
 
-__all__ = ["DepthDataModule", "Entries", "view_with"]
-
 Entry = Literal["sphere", "depth", "fisheye", "panorama"]
 Entries = Annotated[Sequence[Entry], MinLen(1)] | None
 """What samples hold, in place of what the network takes: images and depth on the icosphere, depth there alone, images

@@ -14,8 +14,6 @@ from sphericalvision.models import DepthNetwork
 from sphericalvision.scenes.samples import images_as_floats
 from sphericalvision.sweep.ring_mean import coarser_images, ids_of_coarser_level
 
-__all__ = ["images_of", "truth_of"]
-
 Sample = dict[str, Any]
 
 

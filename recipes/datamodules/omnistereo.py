@@ -19,8 +19,6 @@ from sphericalvision.recipes.app.kinds import Text
 from sphericalvision.recipes.datamodules.data_module import Sample
 from sphericalvision.recipes.datamodules.depth_data_module import DepthDataModule, Entries
 
-__all__ = ["OmniStereoDataModule", "SkipDamaged"]
-
 
 class OmniStereoDataModule(DepthDataModule):
     """OmniThings and its kin from disk, split and augmented as in the paper.

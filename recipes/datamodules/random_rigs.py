@@ -32,8 +32,6 @@ from sphericalvision.scenes.draws import Draws
 from sphericalvision.scenes.random_rigs import LevelOrRandomRigs
 from sphericalvision.scenes.world import NATURAL_MIN_DEPTH
 
-__all__ = ["RandomRigDataModule"]
-
 
 @with_config(STRICT)
 class LevelSamples(TypedDict):

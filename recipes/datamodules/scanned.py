@@ -31,17 +31,6 @@ from sphericalvision.recipes.app.kinds import Count, Positive, Share, Text
 from sphericalvision.recipes.datamodules.data_module import Sample
 from sphericalvision.recipes.datamodules.depth_data_module import DepthDataModule, Entries
 
-__all__ = [
-    "Deep360DataModule",
-    "HelvipadDataModule",
-    "Kitti360DataModule",
-    "OmniPusDataModule",
-    "OwnScansDataModule",
-    "ScannedDataModule",
-    "SpiresDataModule",
-    "WideDepthDataModule",
-]
-
 Transform = Callable[[Sample], Any]
 Sequences = Annotated[list[str], Len(1)] | None
 

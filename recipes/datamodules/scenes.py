@@ -25,8 +25,6 @@ from sphericalvision.scenes import World, WorldSamples
 from sphericalvision.scenes.meshes import mesh_files
 from sphericalvision.scenes.world import HELD_OUT_SEED
 
-__all__ = ["RenderedDataModule", "SceneDataModule"]
-
 
 class Augmented(Dataset[Sample]):
     """A data set with a transform on each sample."""

@@ -9,8 +9,6 @@ from sphericalvision.crown import Crown, CrownConv2d
 from sphericalvision.crown.taps import convolve, planar_kernels, repeat_border
 from sphericalvision.models.classifier import SphereClassifier
 
-__all__ = ["AlignedCrownClassifier", "AlignedCrownConv2d"]
-
 
 class AlignedCrownConv2d(CrownConv2d):
     """``CrownConv2d`` with the taps of columns in rows, too.

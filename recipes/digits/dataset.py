@@ -20,8 +20,6 @@ from sphericalvision.recipes.app.kinds import FullAngle
 from sphericalvision.recipes.training.orientations import OrientedDataModule
 from sphericalvision.sphere import SphereGrid
 
-__all__ = ["ORIENTATIONS", "DigitsDataModule", "SphericalDigits", "draw_on_sphere", "load_digits"]
-
 ORIENTATIONS = ("upright", "rotated")
 """N and R of the literature's tables."""
 

@@ -16,8 +16,6 @@ from sphericalvision.recipes.app.checkpoints import read_checkpoint, refuse_othe
 from sphericalvision.recipes.digits.dataset import ORIENTATIONS
 from sphericalvision.recipes.training.orientations import OrientationModule
 
-__all__ = ["ClassificationModule"]
-
 
 class ClassificationModule(OrientationModule):
     """A classifier on the sphere, validated and tested on upright and on rotated samples."""

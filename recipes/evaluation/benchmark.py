@@ -30,8 +30,6 @@ from sphericalvision.recipes.evaluation.track_frames import Size, TrackFrames
 from sphericalvision.recipes.evaluation.tracks import Track, chosen_tracks
 from sphericalvision.viz.panorama import icosphere_to_panorama
 
-__all__ = ["BenchmarkConfig", "benchmark", "benchmark_tables", "run_track"]
-
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class BenchmarkConfig:

@@ -19,19 +19,6 @@ from sphericalvision.recipes.evaluation.methods import Answer, Batch, Method, Sc
 from sphericalvision.recipes.evaluation.records import Errors, Record
 from sphericalvision.sweep import depth_from_index, index_from_inverse_depth
 
-__all__ = [
-    "FrameSet",
-    "Limit",
-    "Measure",
-    "SampleFrames",
-    "VertexErrors",
-    "errors_in_metres",
-    "errors_of_frame",
-    "evaluate",
-    "limit_text",
-    "mean_errors_by_method",
-]
-
 Limit = float | Literal["auto"]
 """Depth in metres up to which AbsRel and d<1.25 count; ``"auto"``: 10 for scenes indoors, 80 for all others."""
 

@@ -42,20 +42,6 @@ from sphericalvision.sweep import DepthEstimate, index_from_inverse_depth, inver
 if TYPE_CHECKING:
     from sphericalvision.recipes.datamodules.data_module import SampleDataModule
 
-__all__ = [
-    "SCALE",
-    "Answer",
-    "AsUsed",
-    "Batch",
-    "Method",
-    "Scale",
-    "baselines",
-    "camera_images",
-    "check_names",
-    "make_method",
-    "training_depths",
-]
-
 
 class Scale(NamedTuple):
     """The hypotheses that errors are percentages of: how many, and the nearest in metres."""

@@ -19,8 +19,6 @@ from sphericalvision.viz import depth_to_color, error_to_color, sheet
 from sphericalvision.viz.color import fade
 from sphericalvision.viz.panorama import icosphere_to_panorama
 
-__all__ = ["WORST", "DrawnFrame", "camera_picture", "frames_sheet"]
-
 Picture = npt.NDArray[np.uint8]
 
 WORST = 10.0

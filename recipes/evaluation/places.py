@@ -20,8 +20,6 @@ from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import depth_from_index, index_from_inverse_depth
 from sphericalvision.sweep.ring_mean import ids_of_coarser_level
 
-__all__ = ["KEPT", "REGIONS", "FrameTruth", "PlaceErrors"]
-
 REGIONS = ("all", "edge", "thin", "flat", "bare", "sky", "lone", "shared")
 """``all``: points that two cameras see; ``lone``: that fewer see; ``shared``: that two see at every tilt."""
 

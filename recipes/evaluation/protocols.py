@@ -16,8 +16,6 @@ from sphericalvision.recipes.evaluation.methods import Answer, Scale
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import depth_from_index, index_from_inverse_depth, inverse_depth_from_index
 
-__all__ = ["Protocols", "Truth"]
-
 ZONE = math.radians(30)
 """Latitude that divides what is around from what is above and below."""
 

@@ -17,8 +17,6 @@ from torch import Tensor
 from sphericalvision.core import FileFormatError
 from sphericalvision.io.files import atomic_write, write_bytes
 
-__all__ = ["Errors", "Record", "mean_errors", "read_json", "write_json"]
-
 Errors = dict[str, Any]
 """Nested dictionaries of numbers by protocol and name; None where nothing counts."""
 

@@ -17,8 +17,6 @@ from sphericalvision.sphere import Equirectangular, Views
 from sphericalvision.sphere.intake import unsigned
 from sphericalvision.sweep import DepthEstimate, DepthHint, index_from_inverse_depth
 
-__all__ = ["RectifiedSGBM"]
-
 BLOCK_SIZE, UNIQUENESS = 3, 5
 """Pixels of a side of the blocks that are matched; percent by which the best match is better than the second."""
 

@@ -13,8 +13,6 @@ from sphericalvision.recipes.evaluation.methods import Method
 from sphericalvision.recipes.evaluation.records import Record
 from sphericalvision.recipes.evaluation.tables import Cell, Row, Table, summarize
 
-__all__ = ["Column", "Results"]
-
 Column = tuple[str, str, int]
 """A heading, the path of an error (its keys with blanks between them), and its digits."""
 

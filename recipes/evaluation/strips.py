@@ -19,8 +19,6 @@ from sphericalvision.recipes.evaluation.tables import Cell, Table
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import inverse_depth_from_index
 
-__all__ = ["StripErrors", "depth_off_center", "table_with_published"]
-
 MOST = 256.0
 """Metres that maps of depth can hold; estimates beyond count as this."""
 STEPS = 4

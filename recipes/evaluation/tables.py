@@ -19,8 +19,6 @@ from sphericalvision.io.files import write_bytes
 from sphericalvision.recipes.app.cli import print_table
 from sphericalvision.recipes.evaluation.records import write_json
 
-__all__ = ["Cell", "Content", "Row", "Table", "error_table", "save_errors", "save_report", "summarize"]
-
 
 class Cell(NamedTuple):
     """A mean and its uncertainty.

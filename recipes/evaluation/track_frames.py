@@ -29,8 +29,6 @@ from sphericalvision.scenes.meshes import mesh_files
 from sphericalvision.scenes.world import NATURAL_MIN_DEPTH, World, WorldFrame, rendered
 from sphericalvision.sphere import Equirectangular
 
-__all__ = ["Size", "TrackFrame", "TrackFrames", "aligner", "render_frame"]
-
 DRAWN = (0, 3, 4)
 """Places among the frames of those that are drawn; where kinds of scenes take turns a corridor, outdoors and a room."""
 

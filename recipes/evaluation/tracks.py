@@ -19,8 +19,6 @@ from sphericalvision.scenes.random_rigs import random_rig
 from sphericalvision.scenes.registry import TURNS, kind_of, scene_kinds
 from sphericalvision.scenes.world import HELD_OUT_SEED
 
-__all__ = ["GROUPS", "TRACKS", "Track", "chosen_tracks"]
-
 TILTS_DEG = (0.0, 15.0, 30.0, 45.0)
 
 

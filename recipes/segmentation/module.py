@@ -13,8 +13,6 @@ from sphericalvision.metrics import SolidAngleIoU
 from sphericalvision.recipes.segmentation.rooms import ORIENTATIONS
 from sphericalvision.recipes.training.orientations import OrientationModule
 
-__all__ = ["SegmentationModule"]
-
 
 class SegmentationModule(OrientationModule):
     """A segmenter on the sphere, validated and tested in every orientation; labels of -1 do not count."""

@@ -23,8 +23,6 @@ from sphericalvision.scenes.cache import ArrayCache, decode, encode
 from sphericalvision.sphere import SphereGrid
 from sphericalvision.sphere.intake import signed
 
-__all__ = ["ORIENTATIONS", "LabelledRooms", "LabelledRoomsDataModule", "orientation_rotation"]
-
 ORIENTATIONS = {"upright": 0.0, "tilted_15": 15.0, "tilted_45": 45.0, "tilted_90": 90.0, "rotated": None}
 """Degrees by which what is seen is tilted, about a horizontal axis of a random azimuth; None: any rotation."""
 

@@ -3,6 +3,4 @@
 
 from sphericalvision.recipes.app.command import Command
 
-__all__ = ["main"]
-
 main = Command("study", "study.command:study")

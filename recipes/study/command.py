@@ -32,8 +32,6 @@ from sphericalvision.recipes.study.report import angle_plot, drawn_frame, study_
 from sphericalvision.recipes.study.tilted_views import view_frames, views
 from sphericalvision.recipes.study.training import differences, train_all
 
-__all__ = ["StudyKeys", "study"]
-
 
 @with_config(STRICT)
 class StudyKeys(TypedDict, total=False):

@@ -18,8 +18,6 @@ from sphericalvision.recipes.evaluation.methods import Method, Scale, baselines,
 from sphericalvision.recipes.study.training import Training, training_config
 from sphericalvision.recipes.training.run_folder import flat_settings
 
-__all__ = ["StudyModel", "scale_of", "study_models"]
-
 
 class StudyModel(NamedTuple):
     """One entry of ``models`` in the config.

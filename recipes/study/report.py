@@ -27,8 +27,6 @@ from sphericalvision.sphere.intake import unsigned
 from sphericalvision.viz.figure import figure_pixels
 from sphericalvision.viz.panorama import icosphere_to_panorama, rgb_panorama
 
-__all__ = ["angle_plot", "drawn_frame", "study_tables"]
-
 PAPER: tuple[Column, ...] = tuple((name, f"paper {name}", 2) for name in DepthIndexError.error_names)
 DETAILS: tuple[Column, ...] = (
     ("AbsRel", "depth AbsRel", 3),

@@ -19,8 +19,6 @@ from sphericalvision.recipes.datamodules.omnistereo import OmniStereoDataModule
 from sphericalvision.recipes.datamodules.scenes import SceneDataModule
 from sphericalvision.recipes.evaluation.loop import SampleFrames
 
-__all__ = ["View", "view_frames", "views"]
-
 
 class View(NamedTuple):
     """The cameras that see the frames, and by how many degrees they are tilted down."""

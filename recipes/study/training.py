@@ -22,8 +22,6 @@ from sphericalvision.recipes.app.errors import several_processes
 from sphericalvision.recipes.app.words import own_configs, quote_paths
 from sphericalvision.recipes.training.run_folder import changed_settings, flat_settings
 
-__all__ = ["Training", "differences", "train_all", "training_config"]
-
 
 def training_config(words: Sequence[str]) -> DictConfig:
     """Compose the configuration of ``sphericalvision-train`` with these words; wrong ones are refused."""

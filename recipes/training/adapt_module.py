@@ -16,8 +16,6 @@ from sphericalvision.recipes.datamodules.capture import CaptureDataModule
 from sphericalvision.recipes.training.depth_module import DepthModule
 from sphericalvision.sweep.consistency_share import consistency_share
 
-__all__ = ["AdaptModule"]
-
 RESULT = "adapted.safetensors"
 
 

@@ -23,8 +23,6 @@ from sphericalvision.recipes.app.kinds import Count, Number, Positive, Share
 from sphericalvision.sweep import depth_from_index, inverse_depth_from_index
 from sphericalvision.viz.panorama import depth_to_color, error_to_color
 
-__all__ = ["DepthPanels", "MovingAverage", "PlainProgress", "SaveOnInterrupt", "TrainingBar", "progress"]
-
 
 class DepthPanels(Callback):
     """At each validation, write estimate, ground truth and error of the first frames, one above the other.

@@ -27,8 +27,6 @@ from sphericalvision.recipes.training.rig_tables import RigTables
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import index_from_inverse_depth
 
-__all__ = ["METRICS", "DepthModule"]
-
 METRICS = (">1", ">3", ">5", "MAE", "RMS")
 """Columns of the paper's tables, in order; percent of the number of hypotheses."""
 

@@ -17,8 +17,6 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.models.weights.registry import network_name
 from sphericalvision.recipes.training.schedule import progress_only
 
-__all__ = ["TrainingModule", "name_of"]
-
 
 def name_of(net: Any) -> str:
     """The registered name of a network, or that of its class."""

@@ -15,8 +15,6 @@ from torch.optim import AdamW, Optimizer
 
 from sphericalvision.core import ArgumentError
 
-__all__ = ["Muon", "orthogonalized"]
-
 COEFFICIENTS = (3.4445, -4.7750, 2.0315)
 """Of a polynomial x (a + b x² + c x⁴) that takes small x away from 0 fast, and leaves it within 0.7 and 1.2."""
 ITERATIONS = 5

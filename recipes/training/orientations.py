@@ -19,8 +19,6 @@ from sphericalvision.recipes.app.kinds import Count
 from sphericalvision.recipes.datamodules.data_module import Sample, SampleDataModule
 from sphericalvision.recipes.training.module import TrainingModule
 
-__all__ = ["OrientationModule", "OrientedDataModule"]
-
 
 class OrientationModule(TrainingModule):
     """A network of classes, with a metric for each of the orientations that ``metric_names`` names.

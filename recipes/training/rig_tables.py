@@ -14,8 +14,6 @@ from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.core import ArgumentError
 from sphericalvision.models import DepthNetwork
 
-__all__ = ["RigTables", "stacked_tables"]
-
 BYTES = 1 << 30
 """How much the tables kept may weigh together; at least one is kept."""
 FIRST_BATCHES = 50

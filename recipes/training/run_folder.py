@@ -38,17 +38,6 @@ try:
 except ImportError:  # Windows; two trainings in one folder are not noticed there
     fcntl = None  # type: ignore[assignment]
 
-__all__ = [
-    "WeightsBesideCheckpoint",
-    "best_checkpoint",
-    "changed_settings",
-    "check_resume",
-    "flat_settings",
-    "is_first_process",
-    "resume_path",
-    "run_folder",
-]
-
 LOCK = ".lock"
 """Held while a training runs; the system lets go of it however the training ends."""
 

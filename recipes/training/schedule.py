@@ -11,8 +11,6 @@ from torch.optim.lr_scheduler import ChainedScheduler, LRScheduler
 
 from sphericalvision.core import ArgumentError
 
-__all__ = ["chained", "progress_only"]
-
 Part = Callable[[Optimizer], LRScheduler]
 """One of torch's schedulers that waits for its optimiser, as ``_partial_: true`` makes it."""
 

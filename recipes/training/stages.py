@@ -23,8 +23,6 @@ from sphericalvision.recipes.app.errors import several_processes
 from sphericalvision.recipes.app.words import own_configs
 from sphericalvision.recipes.training.run_folder import changed_settings, flat_settings
 
-__all__ = ["Stage", "train_stages"]
-
 OF_STAGES = ("experiment=", "stages=", "output=", "resume=", "result=", "paths.stages=")
 """Words of the whole command line that its stages set themselves."""
 

@@ -22,7 +22,7 @@ from sphericalvision.recipes.training.depth_module import DepthModule
 from tests.recipes.conftest import run_recipe
 from tests.recipes.tiny import Run, composed
 
-STAGES = ("prior", "fusion", "finer", "hints")
+STAGES = ("prior", "fusion", "more", "finer", "hints")
 SMALL = """
 # @package _global_
 defaults: [/experiment/refinedsweepnet/{stage}]

@@ -147,6 +147,12 @@ def test_learns_in_all_steps(net, frame):
     valid = true <= 15
     finer.training_loss(images, rig, seen, true.clamp(max=15), valid, depth_index_huber).backward()
     assert finer.refinement.exit.bias.grad.abs().sum() > 0
+    finer.zero_grad()
+    finer.training_loss(
+        images, rig, seen, true.clamp(max=15), valid, depth_index_huber, refine=False
+    ).backward()
+    assert all(parameter.grad is None for parameter in finer.refinement.parameters())
+    assert finer.fusion.exit.weight.grad.any()
     with pytest.raises(ArgumentError, match=r"coarse_level: expected 2 or more for 3 widths, got 1"):
         net.with_changes(coarse_level=1)
 

@@ -56,7 +56,7 @@ lint: $(VENV)/.installed-all ## ruff, mypy, dead code and the import layers
 	@echo "==> ruff check"   && $(BIN)/ruff check .
 	@echo "==> ruff format"  && $(BIN)/ruff format --check .
 	@echo "==> mypy"         && $(BIN)/mypy
-	@echo "==> vulture"      && $(BIN)/vulture
+	@echo "==> vulture"      && $(BIN)/vulture sphericalvision recipes tests/house_numbers.py $$(find sphericalvision -name '*.pyi')
 	@echo "==> lint-imports"
 	@# The linter reads folders, not the package-dir mapping of pyproject.toml: show it the installed layout.
 	@rm -rf build/layers && mkdir -p build/layers && cp -R sphericalvision build/layers/

@@ -15,8 +15,6 @@ from typing import Any, Generic, TypeVar
 
 from sphericalvision.core import ArgumentError
 
-__all__ = ["Registry"]
-
 Thing = TypeVar("Thing")
 
 

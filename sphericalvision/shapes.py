@@ -14,8 +14,6 @@ import torch
 
 from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_tensor
 
-__all__ = ["check_shapes"]
-
 P = ParamSpec("P")
 R = TypeVar("R")
 Sizes = dict[str, Sequence[int]]

@@ -11,8 +11,6 @@ import torch
 from torch.utils._python_dispatch import _disable_current_modes
 from torch.utils._pytree import tree_leaves, tree_map_only
 
-__all__ = ["constant_table", "copied"]
-
 P = ParamSpec("P")
 R = TypeVar("R")
 

@@ -13,8 +13,6 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-__all__ = ["available_cores", "prepare_threads", "thread_policy"]
-
 SPIN = "1000"
 """Rounds for which a thread of libgomp looks for work before it sleeps, some ten microseconds; its own choice is
 300,000, three milliseconds. A frame has thousands of short parallel loops: where another process holds a core, each of

@@ -218,10 +218,9 @@ def check_class(kind: type) -> None:
 
 
 def check_module(module: types.ModuleType) -> None:
-    """Have the functions and classes checked that a module defines and offers in ``__all__``."""
-    for name in getattr(module, "__all__", ()):
-        found = vars(module).get(name)
-        if getattr(found, "__module__", None) != module.__name__:
+    """Have the functions and classes checked that a module defines for others."""
+    for name, found in list(vars(module).items()):
+        if name.startswith("_") or getattr(found, "__module__", None) != module.__name__:
             continue
         if inspect.isclass(found):
             check_class(found)

@@ -30,8 +30,6 @@ from sphericalvision.core import (
 from sphericalvision.geometry.bilinear import bilinear_sample
 from sphericalvision.geometry.directions import components, moderate_lengths
 
-__all__ = ["Camera", "Projection", "Unprojection", "check_single"]
-
 AnyCamera = TypeVar("AnyCamera", bound="Camera")
 
 

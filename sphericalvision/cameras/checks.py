@@ -29,19 +29,6 @@ from sphericalvision.core import (
 )
 from sphericalvision.geometry.directions import has_numbers, holds, moderate_lengths
 
-__all__ = [
-    "HALF",
-    "at_least_float32",
-    "check_image",
-    "check_poses",
-    "check_precision",
-    "check_rotation",
-    "checked_angle",
-    "checked_numbers",
-    "checked_size",
-    "model_function",
-]
-
 HALF = (torch.float16, torch.bfloat16)
 _PAIRS = ("image_size", "latitudes", "longitudes")  # of plain numbers
 MAX_PIXELS = 2**27

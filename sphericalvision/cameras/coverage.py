@@ -15,8 +15,6 @@ from sphericalvision.core import ArgumentError, check_type
 from sphericalvision.geometry.directions import holds
 from sphericalvision.shapes import check_shapes
 
-__all__ = ["Overlap", "coverage", "overlap", "seen_by"]
-
 
 class Overlap(NamedTuple):
     """Shares of the sphere's solid angle, from 0 to 1, at each depth (*)."""

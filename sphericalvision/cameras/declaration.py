@@ -30,18 +30,6 @@ from sphericalvision.cameras.checks import check_precision, checked_angle, check
 from sphericalvision.core import ArgumentError, ShapeError, check_choice
 from sphericalvision.geometry.directions import broadcast_shapes, holds
 
-__all__ = [
-    "ANY",
-    "Choice",
-    "Declared",
-    "DeclaredModel",
-    "ImageSize",
-    "Intrinsic",
-    "MaxAngle",
-    "OptionalIntrinsic",
-    "constructor",
-]
-
 ANY = 0
 """The size of an intrinsic of any number of numbers."""
 

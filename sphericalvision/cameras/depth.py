@@ -11,8 +11,6 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.checks import check_image
 from sphericalvision.core import check_floating, check_type
 
-__all__ = ["depth_from_z", "points_from_depth", "z_from_depth"]
-
 
 def depth_from_z(
     z: Float[Tensor, "*#batch h w"], camera: Camera

@@ -13,8 +13,6 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera, check_single
 from sphericalvision.core import check_type
 
-__all__ = ["FieldOfView", "field_of_view", "focal_length_on_axis", "visible_angle"]
-
 _STEPS = 256  # angles looked at along each azimuth before the edge is bisected
 
 

@@ -10,8 +10,6 @@ from torch import Tensor
 
 from sphericalvision.cameras.rig import CameraRig
 
-__all__ = ["rig_fingerprint", "rounded_text"]
-
 
 def rig_fingerprint(rig: CameraRig, extra: object = "", digits: int = 5) -> str:
     """Sixteen characters for the poses, cameras and masks of a rig; names of cameras play no part.

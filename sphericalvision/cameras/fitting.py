@@ -19,19 +19,6 @@ from sphericalvision.cameras.base import Camera, Projection
 from sphericalvision.cameras.declaration import ANY, Choice, Intrinsic
 from sphericalvision.geometry import angle_from_axis
 
-__all__ = [
-    "PLANE_REACH",
-    "FitChoices",
-    "FittedModel",
-    "Samples",
-    "fit_choices",
-    "fitted",
-    "fitted_classes",
-    "shape_grid",
-    "solve_linear",
-    "with_shapes",
-]
-
 PLANE_REACH = math.radians(80)
 """A model of the image plane is fitted up to here, unless the original ends before."""
 

@@ -21,8 +21,6 @@ from sphericalvision.cameras.models.kannala_brandt import KannalaBrandtCamera
 from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.core import ArgumentError
 
-__all__ = ["CameraModule", "from_kornia", "to_kornia"]
-
 _COEFFICIENTS = {"PINHOLE": 0, "BROWN_CONRADY": 8, "KANNALA_BRANDT_K3": 4}
 """Kornia's models, and how many numbers stand behind fx fy cx cy."""
 

@@ -12,8 +12,6 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 
-__all__ = ["HasMasks", "is_usable", "resized_mask", "stack_masks"]
-
 
 class HasMasks(Protocol):
     """A rig, as far as masks are concerned."""

@@ -8,8 +8,6 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, Projection
 
-__all__ = ["lifted", "project_by_model"]
-
 
 def project_by_model(camera: Camera, points: Float[Tensor, "*points 3"]) -> Projection:
     """Pixels (*, 2) of ``points`` (*, 3) by the model and where it is defined, borders and ``max_angle`` aside.

@@ -24,16 +24,6 @@ from sphericalvision.io.files import part_of_name
 from sphericalvision.io.images import write_mask
 from sphericalvision.io.yaml_files import write_yaml
 
-__all__ = [
-    "CAMERA_FORMAT",
-    "RIG_FORMAT",
-    "VERSION",
-    "camera_to_dict",
-    "takes_max_angle",
-    "write_camera",
-    "write_rig",
-]
-
 CAMERA_FORMAT = "sphericalvision-camera"
 RIG_FORMAT = "sphericalvision-rig"
 VERSION = 1

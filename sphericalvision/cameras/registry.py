@@ -10,16 +10,6 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.core import ArgumentError
 from sphericalvision.extensions import Registry
 
-__all__ = [
-    "ENTRY_POINTS",
-    "camera_model",
-    "camera_model_meant",
-    "camera_model_names",
-    "check_registered",
-    "model_meant",
-    "register_camera",
-]
-
 ENTRY_POINTS = "sphericalvision.cameras"
 """Group of entry points, name -> subclass of ``Camera``, in which other packages offer theirs."""
 

@@ -45,8 +45,6 @@ from sphericalvision.geometry.directions import has_numbers, holds
 from sphericalvision.kernels import Operator, full_precision
 from sphericalvision.shapes import check_shapes
 
-__all__ = ["CameraRig", "check_images_of", "ring_rig"]
-
 FAR = 1000.0
 """Metres from the origin up to which float32 holds a position well."""
 

@@ -15,8 +15,6 @@ from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, check_file
 from sphericalvision.kernels import full_precision
 
-__all__ = ["OPTICAL_FROM_ROS", "placed", "read_pose", "tilt_of"]
-
 OPTICAL_FROM_ROS = torch.tensor(
     [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )

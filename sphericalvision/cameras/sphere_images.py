@@ -19,8 +19,6 @@ from sphericalvision.cameras.rig import CameraRig, check_images_of
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.image_lookup import ImageLookup, image_lookup
 
-__all__ = ["SphereLookup", "images_in_order", "sample_sphere", "sphere_lookups"]
-
 
 class SphereLookup(NamedTuple):
     """Where directions fall in the image of one camera: made once, it serves all images of the camera."""

@@ -18,8 +18,6 @@ from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.io.times import SAME_TIME, are_counts, nearest_in_time, seconds
 from sphericalvision.kernels import full_precision
 
-__all__ = ["UPS", "Trajectory", "upright_turn"]
-
 UPS = ("-y", "y", "z", "camera")
 """What may point up in a file of poses."""
 

@@ -25,8 +25,6 @@ from sphericalvision.icosphere import icosphere_vertices
 if TYPE_CHECKING:
     from sphericalvision.capture.predictor import Predictor
 
-__all__ = ["RigTurns", "align_rig"]
-
 LEVEL = 5
 """Icosphere level of the directions that are compared first."""
 STEPS = (

@@ -17,18 +17,6 @@ from sphericalvision.icosphere.topology import check_level
 from sphericalvision.sphere.intake import Intake
 from sphericalvision.sweep import photo_consistency_share, semi_global_sweep, semi_global_tables
 
-__all__ = [
-    "PhotoConsistency",
-    "camera_agreement",
-    "capture_warnings",
-    "disagreement_warning",
-    "exposure_warning",
-    "hypotheses_warning",
-    "overlap_warning",
-    "pose_agreement",
-    "poses_warning",
-]
-
 LEVEL, HYPOTHESES = 5, 24
 """Of the quick sweeps that compare poses."""
 ENOUGH_SEEN = 0.9

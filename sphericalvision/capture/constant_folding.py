@@ -11,8 +11,6 @@ import torch
 from torch import Tensor
 from torch.fx import Graph, GraphModule, Interpreter, Node
 
-__all__ = ["with_constants_folded"]
-
 LOOKUPS = {torch.ops.aten.index_select.default: 2, torch.ops.aten.embedding.default: 1}
 """Operation -> which of its arguments says what is looked up; both take 32 bits."""
 PARTS = {

@@ -21,8 +21,6 @@ from sphericalvision.capture.result import Depth
 from sphericalvision.capture.sources.frames import Frame, Selection, Source
 from sphericalvision.core import ArgumentError, FileFormatError
 
-__all__ = ["Estimate", "ahead", "estimate_frames", "ordered_map", "threads_kept"]
-
 MOST_WORKERS = 4
 """Frames that are estimated at once, each in memory of its own."""
 BEFORE = 10

@@ -29,20 +29,6 @@ from sphericalvision.sphere import Equirectangular
 from sphericalvision.sphere.intake import signed
 from sphericalvision.sweep import inverse_depth_from_index
 
-__all__ = [
-    "INPUTS",
-    "OUTPUTS",
-    "TABLES",
-    "RigProgram",
-    "compile_program",
-    "description",
-    "example_images",
-    "export_onnx",
-    "export_program",
-    "onnx_difference",
-    "rig_tables",
-]
-
 INPUTS = ("camera", "sphere")
 OUTPUTS = ("inverse_depth", "confidence", "seen")
 TABLES = ("inside", "inputs")

@@ -21,8 +21,6 @@ from sphericalvision.io.arrays import read_npz
 from sphericalvision.io.files import atomic_write
 from sphericalvision.sphere import Equirectangular
 
-__all__ = ["FusedCloud"]
-
 FEWEST = 3
 """Frames that have a point in a cube of the cloud."""
 FARTHER = 0.05

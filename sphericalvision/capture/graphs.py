@@ -14,8 +14,6 @@ from torch import Tensor
 from torch.utils import _pytree
 from torch.utils._python_dispatch import TorchDispatchMode
 
-__all__ = ["GraphedFunction", "NoWaiting"]
-
 MOST_GRAPHS = 4
 """Of a function: each holds the memory of its inputs and results."""
 _turns = threading.RLock()

@@ -22,8 +22,6 @@ from sphericalvision.io.images import read_pages
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sphere.resampling.views import Views
 
-__all__ = ["HintFiles"]
-
 MILLIMETRES = 1000.0
 MOST = 65535
 """That 16 bits hold: what is farther, or was not measured."""

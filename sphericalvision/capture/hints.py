@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from sphericalvision.capture.predictor import Predictor
     from sphericalvision.sphere.resampling.views import Views
 
-__all__ = ["FITS", "CarriedDepth", "Hint", "HintView", "inverse_of", "with_hint"]
-
 FITS = ("metres", "scale", "affine")
 COMPARED = 2000
 """Rays of a view that are compared with a network's own answer."""

@@ -14,8 +14,6 @@ from sphericalvision.cameras.trajectory import upright_turn
 from sphericalvision.capture.result import Depth
 from sphericalvision.core import ArgumentError
 
-__all__ = ["floor_up", "leveling_turn"]
-
 MAX_LEAN = math.cos(math.radians(45))
 """Cosine of the greatest angle between the world's up and the floor's; a wall is farther away."""
 BELOW = math.cos(math.radians(75))

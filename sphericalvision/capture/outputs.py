@@ -15,8 +15,6 @@ from sphericalvision.capture.result_folder import ResultFolder, Settings
 from sphericalvision.capture.writers import OUTPUTS, WRITERS
 from sphericalvision.core import check_choice
 
-__all__ = ["Outputs", "save_frame"]
-
 
 def save_frame(folder: Path, frame: str, views: Panoramas, settings: Settings) -> list[Path]:
     """Write the files of one frame, their names after that of the frame; returns the paths."""

@@ -16,8 +16,6 @@ from sphericalvision.capture.result import Depth, DepthImage, near_end_of
 from sphericalvision.io.images import as_bytes
 from sphericalvision.viz.panorama import confidence_strength, depth_panorama, rgb_panorama
 
-__all__ = ["Panoramas"]
-
 
 class Panoramas:
     """Panoramas and points of one frame, each computed when something first needs it.

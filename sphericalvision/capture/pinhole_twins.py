@@ -16,8 +16,6 @@ from sphericalvision.cameras.remapping.lookup import pixels_a_radian
 from sphericalvision.cameras.remapping.undistort import undistorted_camera
 from sphericalvision.sphere.grids.cube_layouts import CUBE_FACES, world_from_cube_face
 
-__all__ = ["PinholeTwin", "PinholeTwins", "pinhole_twins"]
-
 NARROW = math.radians(65)
 """Half a field of view that one pinhole holds, whose border is then 5.6 times as fine as its middle."""
 LEAST = 0.1

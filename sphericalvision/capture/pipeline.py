@@ -29,8 +29,6 @@ from sphericalvision.models import DepthNetwork
 from sphericalvision.sphere.intake import as_colors, signed
 from sphericalvision.sweep import DepthEstimate, DepthHint
 
-__all__ = ["PRECISIONS", "Frame", "Pipeline", "in_precision"]
-
 BLANK = 1 / 255
 """Standard deviation of the values of an image, of [0, 1], below which it shows nothing: one step of 8 bits."""
 PRECISIONS = ("float32", "bfloat16", "float16")

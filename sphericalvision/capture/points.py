@@ -21,16 +21,6 @@ from sphericalvision.viz.pointcloud import point_colors
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = [
-    "SurfacePoints",
-    "grid_faces",
-    "grid_mesh",
-    "hangs_between",
-    "surface_normals",
-    "surface_points",
-    "voxel_means",
-]
-
 STEEPEST = math.radians(84)
 """Between a ray and the normal of the surface it meets; a floor is as steep ten heights away."""
 

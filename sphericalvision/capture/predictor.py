@@ -42,8 +42,6 @@ from sphericalvision.sphere.intake import as_colors, ordered_images
 from sphericalvision.sweep import DepthHint
 from sphericalvision.threads import available_cores
 
-__all__ = ["METHODS", "Predictor"]
-
 METHODS = ("network", "semi_global")
 HARDLY = 0.5
 """Trust of a network in a hint below which a warning says so: at 0 the hint is not used at all."""

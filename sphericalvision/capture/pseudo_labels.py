@@ -22,8 +22,6 @@ from sphericalvision.sweep import (
 )
 from sphericalvision.sweep.consistency_share import consistency_share
 
-__all__ = ["PseudoLabeller", "PseudoLabels"]
-
 UNSURE, SURE = 0.5, 0.8
 """Confidence of the network below which it teaches nothing, and of the sweep from which that answers in its place."""
 ALL_SURE = 0.99

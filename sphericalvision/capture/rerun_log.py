@@ -17,8 +17,6 @@ from sphericalvision.io.files import atomic_write
 from sphericalvision.io.images import as_bytes
 from sphericalvision.viz.panorama import rgb_panorama
 
-__all__ = ["RerunLog"]
-
 
 class RerunLog:
     """Writes frame after frame into a file that ``rerun FILE.rrd`` shows.

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
     from sphericalvision.capture.points import SurfacePoints
 
-__all__ = ["Depth", "DepthImage", "near_end_of"]
-
 STEPS = 15
 """From the nearest hypothesis to infinity, of which deviations are told."""
 LEAST_DEVIATION, MOST_DEVIATION = 0.05, 2.0

@@ -16,8 +16,6 @@ from sphericalvision.capture.panoramas import Panoramas
 from sphericalvision.core import FileFormatError
 from sphericalvision.io.files import SEPARATORS, part_of_name, write_bytes
 
-__all__ = ["ResultFolder", "Settings", "prefix_of"]
-
 FUSED = "fused.npz"
 """Next to the fused cloud: the state that a continuation starts from."""
 CUBE = 5.0

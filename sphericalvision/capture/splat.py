@@ -39,8 +39,6 @@ from sphericalvision.io.images import read_pages, write_image, write_mask, write
 from sphericalvision.kernels import full_precision
 from sphericalvision.viz.pointcloud import save_point_cloud
 
-__all__ = ["SplatScene"]
-
 NATIVE, PINHOLE = "native", "pinhole"
 """Folders of the two data sets: with the lenses themselves, and with their pinhole twins."""
 MILLIMETRES = 1000

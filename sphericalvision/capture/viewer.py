@@ -28,8 +28,6 @@ from sphericalvision.sweep import index_from_depth
 from sphericalvision.viz.color import colorize, depth_to_color, error_to_color, fade
 from sphericalvision.viz.panorama import confidence_strength, rgb_panorama
 
-__all__ = ["Timeline", "save_viewer"]
-
 HERE = Path(__file__).parent
 MOST_POINTS, FEWEST_POINTS = 100_000, 20_000
 """In a page of one frame, and of each frame of many."""

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from sphericalvision.capture.splat import SplatScene
     from sphericalvision.capture.viewer import Timeline
 
-__all__ = ["OUTPUTS", "WRITERS", "Writer", "read_shares"]
-
 CONSISTENCY = "consistency.csv"
 CONSISTENCY_HEADER = "frame,photo_consistency"
 FEW = 0.01

@@ -16,8 +16,6 @@ from sphericalvision.crown.recompute import RecomputedModule
 from sphericalvision.kernels import Operator
 from sphericalvision.shapes import check_shapes
 
-__all__ = ["CrownBlock3d", "CrownConvNorm2d", "CrownConvNorm3d", "convolve_twice", "crown_block3d"]
-
 
 class _CrownConvNorm(nn.Module):
     """A crown convolution, the normalisation after it and, if asked for, a ReLU."""

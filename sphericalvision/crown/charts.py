@@ -27,8 +27,6 @@ from sphericalvision.icosphere.topology import chart_vertex_ids
 from sphericalvision.shapes import check_shapes
 from sphericalvision.tables import constant_table
 
-__all__ = ["chart_vertices", "fill_charts", "hex_pad", "ring_ids", "ring_table", "ring_values"]
-
 
 def ring_ids(level: int) -> list[list[int]]:
     """Return the five neighbours of the twelve vertices of valence five and these vertices themselves, ``(12, 6)``.

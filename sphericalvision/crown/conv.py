@@ -12,8 +12,6 @@ from sphericalvision.crown.layout import Crown, check_crown
 from sphericalvision.crown.taps import HexagonWeights, check_stride
 from sphericalvision.shapes import check_shapes
 
-__all__ = ["CrownConv2d", "CrownConv3d", "convolve_crown", "crown_conv2d", "crown_conv3d"]
-
 
 def _check_conv(crown: Crown, weight: Tensor, spatial_dims: int, stride: int) -> None:
     check_crown(crown, spatial_dims, weight.shape[1])

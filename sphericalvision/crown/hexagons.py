@@ -17,17 +17,6 @@ from sphericalvision.crown.charts import fill_charts, hex_pad, ring_values
 from sphericalvision.crown.taps import convolve, planar_kernels
 from sphericalvision.tables import constant_table
 
-__all__ = [
-    "CHART_RINGS",
-    "NORTH_RINGS",
-    "Rings",
-    "convolve_own",
-    "hexagons2d",
-    "hexagons3d",
-    "turned_on",
-    "two_orientations",
-]
-
 Rings = tuple[tuple[int, ...], ...]
 Own = Callable[[Tensor, Tensor, Tensor | None, int], Tensor]
 

@@ -44,8 +44,6 @@ from sphericalvision.icosphere import icosphere_vertices, level_from_num_vertice
 from sphericalvision.icosphere.topology import vertex_at
 from sphericalvision.shapes import check_shapes
 
-__all__ = ["HexConv2d", "HexConv3d", "hex_conv2d", "hex_conv3d", "north_fraction"]
-
 ORIENTATIONS = ("chart", "north")
 
 

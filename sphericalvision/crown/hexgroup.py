@@ -28,8 +28,6 @@ from sphericalvision.crown.hexagons import turned_on
 from sphericalvision.crown.hexconv import hex_conv2d, north_fraction
 from sphericalvision.shapes import check_shapes
 
-__all__ = ["HexGroupConv2d", "HexLiftConv2d", "hex_group_conv2d", "hex_lift_conv2d"]
-
 ORIENTATIONS = 6
 
 

@@ -21,8 +21,6 @@ from sphericalvision.crown.fast import fold, unfold
 from sphericalvision.crown.places import level_of_rectangles
 from sphericalvision.shapes import check_shapes
 
-__all__ = ["Crown", "crown_map", "crown_relu", "exchange", "from_crown", "to_crown"]
-
 
 class Crown(NamedTuple):
     """Five rectangles each way; ``n = 2**level``, and volumes have N hypotheses.

@@ -9,8 +9,6 @@ from torch import Tensor, nn
 from sphericalvision.core import check_dtype
 from sphericalvision.crown.layout import Crown, check_crown, crown_map, exchange, from_crown, to_crown
 
-__all__ = ["CrownExchange", "CrownPointwise", "FromCrown", "ToCrown"]
-
 
 class ToCrown(nn.Module):
     """Lay values ``(B, C, V)`` or ``(B, C, N, V)`` out as a crown; see ``to_crown``.

@@ -12,8 +12,6 @@ from sphericalvision.crown.fast import normalize
 from sphericalvision.crown.layout import Crown, check_crown, crown_map, crown_relu
 from sphericalvision.crown.statistics import CrownNorm
 
-__all__ = ["CrownBatchNorm2d", "CrownBatchNorm3d", "CrownInstanceNorm2d", "CrownInstanceNorm3d", "crown_norm"]
-
 
 class _CrownBatchNorm(CrownNorm):
     """Batch normalisation whose statistics count every place, border vertices as often as they occur."""

@@ -11,15 +11,6 @@ from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_ver
 from sphericalvision.icosphere.topology import chart_vertex_ids, vertex_at
 from sphericalvision.tables import constant_table
 
-__all__ = [
-    "as_rectangles",
-    "level_of_rectangles",
-    "mean_over_places",
-    "own_charts",
-    "place_ids",
-    "values_at_places",
-]
-
 
 def level_of_rectangles(col: Shaped[Tensor, "*batch long short"]) -> int:
     """Level of the icosphere of rectangles ``(*, 2n + 1, n + 1)``, where ``n = 2**level``."""

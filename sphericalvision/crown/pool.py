@@ -11,15 +11,6 @@ from sphericalvision.core import check_floating
 from sphericalvision.crown.layout import Crown, check_crown, crown_map
 from sphericalvision.crown.taps import check_stride
 
-__all__ = [
-    "CrownAvgPool2d",
-    "CrownMaxPool2d",
-    "CrownUpsample",
-    "crown_avg_pool2d",
-    "crown_max_pool2d",
-    "crown_upsample",
-]
-
 
 def crown_avg_pool2d(crown: Crown, stride: int = 2) -> Crown:
     """Average the 3 x 3 places around each kept place; places outside the rectangle are not counted.

@@ -17,8 +17,6 @@ from sphericalvision.crown.fast import mode_in_use, recomputation_pays
 from sphericalvision.crown.layout import Crown
 from sphericalvision.kernels import kernels
 
-__all__ = ["RecomputedModule", "recompute_if_large", "recomputes", "set_kernel_options"]
-
 LARGE = 2**23
 """Bytes of a crown from which on ``recompute_if_large`` does: 21 MB of 32 channels at level 6, 1.4 MB at level 4."""
 

@@ -13,8 +13,6 @@ from torch.nn.modules.batchnorm import _BatchNorm
 
 from sphericalvision.tables import constant_table
 
-__all__ = ["CrownNorm", "Pair", "normalize"]
-
 Pair = tuple[Float[Tensor, "B 5 C *N long short"], Float[Tensor, "B 5 C *N short long"]]
 
 

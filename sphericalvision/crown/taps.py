@@ -18,20 +18,6 @@ from torch import Tensor, nn
 from sphericalvision.core import ArgumentError, check_counts
 from sphericalvision.tables import constant_table
 
-__all__ = [
-    "COL_TAPS",
-    "ROW_TAPS",
-    "HexagonWeights",
-    "Taps",
-    "check_hexagon",
-    "check_stride",
-    "convolve",
-    "convolve_rectangles",
-    "neighbor_taps",
-    "planar_kernels",
-    "repeat_border",
-]
-
 Taps = tuple[tuple[int, ...], ...]
 
 # Taps 0 to 5 go round the centre, tap 6; 7 stands for a zero at the two corners that are no neighbours.

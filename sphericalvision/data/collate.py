@@ -11,8 +11,6 @@ import torch
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, ShapeError, check_type
 
-__all__ = ["collate_samples"]
-
 
 def collate_samples(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Make a batch of samples: tensors (also in dicts) are stacked, rigs become one batched rig.

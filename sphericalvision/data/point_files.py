@@ -17,8 +17,6 @@ from sphericalvision.core import FileFormatError, check_file
 from sphericalvision.io.arrays import read_npy
 from sphericalvision.io.ply_header import read_ply_header
 
-__all__ = ["POINT_SUFFIXES", "read_points"]
-
 POINT_SUFFIXES = (".pcd", ".bin", ".ply", ".npy", ".csv", ".xyz")
 
 _AXES = ("x", "y", "z")

@@ -16,8 +16,6 @@ from sphericalvision.data.omnistereo.ground_truth import check_panorama_size
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.sphere.intake import Intake
 
-__all__ = ["SampleView", "ToView"]
-
 Sample = dict[str, Any]
 
 

@@ -20,8 +20,6 @@ from sphericalvision.sphere.grids.sphere_grid import SphereGrid
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-__all__ = ["PointTruth", "truth_from_points"]
-
 NEIGHBOURS = 32
 PART = 2**15
 """Pixels at once: each has numbers of all its neighbours, a dozen kilobytes."""

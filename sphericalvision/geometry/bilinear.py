@@ -15,8 +15,6 @@ from sphericalvision.core import ShapeError, check_choice
 from sphericalvision.geometry.directions import broadcast_shapes, in_single_precision
 from sphericalvision.shapes import check_shapes
 
-__all__ = ["bilinear_sample", "wrap_panorama"]
-
 
 def wrap_panorama(image: Float[Tensor, "*batch h w"], poles: bool = True) -> Float[Tensor, "*batch h+2 w+2"]:
     """A panorama ``(*, h, w)`` with one more column on either side and one more row above and below.

@@ -20,28 +20,6 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.kernels import prefer_fused
 from sphericalvision.shapes import check_shapes
 
-__all__ = [
-    "HALF",
-    "angle_from_axis",
-    "broadcast_shapes",
-    "check_directions",
-    "components",
-    "cosine_and_lifted_sinc",
-    "directions_from_longitude_latitude",
-    "from_components",
-    "has_numbers",
-    "holds",
-    "in_single_precision",
-    "lifted_radius",
-    "longitude_latitude_from_directions",
-    "moderate_lengths",
-    "normalize",
-    "safe_hypot",
-    "safe_sqrt",
-    "unit_directions",
-]
-
-
 HALF = (torch.float16, torch.bfloat16)
 
 

@@ -26,8 +26,6 @@ from sphericalvision.geometry.directions import broadcast_shapes, components, fr
 from sphericalvision.geometry.lookup import PlacesInSinglePrecision, weighted_sums
 from sphericalvision.kernels import Operator
 
-__all__ = ["ImageLookup", "PaddedLookup", "SeamLookup", "image_lookup", "taps_across_edges"]
-
 _OUTSIDE = -9.0  # normalised coordinates so far out that grid_sample reads zeros there
 _MAX_CHUNKS = 8  # of the results of one image, for different threads
 

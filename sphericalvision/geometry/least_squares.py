@@ -12,8 +12,6 @@ from torch import Tensor
 
 from sphericalvision.kernels import full_precision
 
-__all__ = ["LeastSquares", "solve_least_squares"]
-
 _PATIENCE = 12  # rejected steps in a row, each with ten times the damping
 
 

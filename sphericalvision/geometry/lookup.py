@@ -21,8 +21,6 @@ from torch import Tensor, nn
 from sphericalvision.geometry.directions import HALF, broadcast_shapes
 from sphericalvision.kernels import uses_reference_kernels
 
-__all__ = ["Lookup", "PlacesInSinglePrecision", "weighted_rows", "weighted_sums"]
-
 
 def weighted_rows(
     rows: Float[Tensor, "size C"], ids: Int[Tensor, "P k"], weights: Float[Tensor, "P k"]

@@ -11,8 +11,6 @@ from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry.directions import in_single_precision
 from sphericalvision.geometry.lookup import Lookup, PlacesInSinglePrecision
 
-__all__ = ["LookupModule", "MaskedLookup", "check_mask"]
-
 _TOUCHED = 1e-3  # the least share of usable values in what a result is made of
 
 

@@ -9,8 +9,6 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-__all__ = ["MeansById", "mean_by_id", "means_by_id"]
-
 
 class MeansById(NamedTuple):
     """Where the places of each id are, for ids most of which have equally many places.

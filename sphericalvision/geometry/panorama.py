@@ -12,15 +12,6 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError, short_repr
 
-__all__ = [
-    "ALL_LATITUDES",
-    "ALL_LONGITUDES",
-    "checked_limits",
-    "goes_around",
-    "limits_in_words",
-    "longitude_within",
-]
-
 ALL_LATITUDES = (-math.pi / 2, math.pi / 2)
 ALL_LONGITUDES = (-math.pi, math.pi)
 _ROUNDING = 1e-6  # of files that hold single precision

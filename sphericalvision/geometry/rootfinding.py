@@ -13,19 +13,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-__all__ = [
-    "InverseTable",
-    "Root",
-    "increasing_limit",
-    "polynomial",
-    "polynomial_value",
-    "polynomial_with_curvature",
-    "refine_root",
-    "samples_towards",
-    "tabulate_inverse",
-    "with_leading_one",
-]
-
 
 class Root(NamedTuple):
     """A root and whether one was found inside the bracket."""

@@ -10,8 +10,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-__all__ = ["distance_along"]
-
 STEPS, HALVINGS = 64, 12
 AT_ONCE = 2**19
 """Points that are looked up together: an icosphere locates many faster than few."""

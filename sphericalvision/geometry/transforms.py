@@ -12,14 +12,6 @@ from sphericalvision.geometry.directions import broadcast_shapes, holds
 from sphericalvision.kernels import full_precision
 from sphericalvision.shapes import check_shapes
 
-__all__ = [
-    "axis_angle_from_transform",
-    "invert_transform",
-    "transform_from_axis_angle",
-    "transform_from_quaternion",
-    "transform_points",
-]
-
 
 def _assemble(rotation: Tensor, translation: Tensor) -> Tensor:
     batch = broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])

@@ -14,13 +14,6 @@ from torch import Tensor
 from sphericalvision.icosphere.topology import chart_vertex_ids, icosphere_faces, num_icosphere_vertices
 from sphericalvision.tables import constant_table, copied
 
-__all__ = [
-    "icosphere_edges",
-    "icosphere_face_neighbors",
-    "icosphere_neighbors",
-    "icosphere_vertex_faces",
-]
-
 
 def icosphere_edges(level: int, device: torch.device | str | None = None) -> Int[Tensor, "E 2"]:
     """Return the edges as pairs of vertices, ``(30 * 4**level, 2)``, each edge once.

@@ -16,13 +16,6 @@ from sphericalvision.icosphere.topology import (
     num_icosphere_vertices,
 )
 
-__all__ = [
-    "icosphere_face_solid_angles",
-    "icosphere_normals",
-    "icosphere_solid_angles",
-    "icosphere_voronoi_solid_angles",
-]
-
 
 def icosphere_face_solid_angles(
     level: int, dtype: torch.dtype | None = None, device: torch.device | str | None = None

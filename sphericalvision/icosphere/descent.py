@@ -14,8 +14,6 @@ from sphericalvision.icosphere.mesh import icosahedron_rectangles
 from sphericalvision.icosphere.topology import icosphere_faces, vertex_at
 from sphericalvision.kernels import full_precision
 
-__all__ = ["Triangles", "barycentric_weights", "base_corners", "base_places", "convex", "descend", "triple"]
-
 
 class Triangles(NamedTuple):
     """Triangles of an icosphere, each by its corner 0 and a sign: corners 1 and 2 are ``sign`` columns, rows away.

@@ -10,8 +10,6 @@ from torch import Tensor
 from sphericalvision.icosphere.topology import check_level, vertex_at
 from sphericalvision.tables import constant_table, copied
 
-__all__ = ["icosphere_face_children", "icosphere_face_parents", "icosphere_vertex_parents"]
-
 
 @copied
 @constant_table

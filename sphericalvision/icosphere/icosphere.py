@@ -18,8 +18,6 @@ from sphericalvision.icosphere.subdivision import subdivision_order
 from sphericalvision.icosphere.topology import coarse_vertex_ids, icosphere_faces, num_icosphere_vertices
 from sphericalvision.shapes import check_shapes
 
-__all__ = ["Icosphere"]
-
 
 class Icosphere(nn.Module):
     """A subdivided icosahedron as a grid of directions, with values on its ``2 + 10 * 4**level`` vertices.

@@ -20,8 +20,6 @@ from sphericalvision.icosphere.locator import locate
 from sphericalvision.icosphere.mesh import icosahedron_rectangles, icosphere_vertices
 from sphericalvision.icosphere.topology import chart_vertex_ids, check_level
 
-__all__ = ["IcosphereLines", "icosphere_lines"]
-
 
 class IcosphereLines(NamedTuple):
     """Vertex ids along all straight lines of an icosphere; with ``n = 2**level``, every edge is in one of them.

@@ -29,8 +29,6 @@ from sphericalvision.kernels import Operator, prefer_fused
 from sphericalvision.shapes import check_shapes
 from sphericalvision.tables import constant_table
 
-__all__ = ["TriangleLocator", "chunk_size", "locate"]
-
 #: Rays at once, which bounds the memory in use.
 CHUNK, CHUNK_ON_DEVICE = 1 << 17, 1 << 22
 

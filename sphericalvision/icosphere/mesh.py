@@ -14,8 +14,6 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.tables import constant_table, copied
 
-__all__ = ["icosahedron_rectangles", "icosphere_vertices"]
-
 
 def icosahedron_rectangles(
     dtype: torch.dtype | None = None, device: torch.device | str | None = None

@@ -16,8 +16,6 @@ from sphericalvision.icosphere.adjacency import icosphere_neighbors
 from sphericalvision.icosphere.mesh import icosphere_vertices
 from sphericalvision.icosphere.topology import num_icosphere_vertices
 
-__all__ = ["icosphere_rings", "icosphere_within"]
-
 
 def icosphere_within(
     directions: Float[Tensor, "*batch 3"], angle: float, level: int

@@ -20,8 +20,6 @@ from sphericalvision.icosphere.topology import (
 from sphericalvision.shapes import check_shapes
 from sphericalvision.tables import constant_table
 
-__all__ = ["IcospherePool", "IcosphereUpsample", "icosphere_pool", "icosphere_upsample"]
-
 POOL_MODES = ("mean", "max")
 
 

@@ -15,8 +15,6 @@ from sphericalvision.icosphere.topology import (
     vertex_at,
 )
 
-__all__ = ["from_subdivision_order", "subdivision_order", "to_subdivision_order"]
-
 
 def subdivision_order(level: int, device: torch.device | str | None = None) -> Int[Tensor, " V"]:
     """Return, for each vertex, its index in the order of plain midpoint subdivision, ``(V,)``.

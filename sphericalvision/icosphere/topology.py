@@ -22,18 +22,6 @@ from torch import Tensor
 from sphericalvision.core import ArgumentError, ShapeError, check_type
 from sphericalvision.tables import constant_table, copied
 
-__all__ = [
-    "MAX_LEVEL",
-    "chart_vertex_ids",
-    "check_level",
-    "coarse_vertex_ids",
-    "icosphere_faces",
-    "level_from_num_vertices",
-    "num_icosphere_vertices",
-    "vertex_at",
-]
-
-
 MAX_LEVEL = 10
 """The finest icosphere: ten million vertices, three arc minutes apart. One level more takes four times the memory."""
 

@@ -14,8 +14,6 @@ import numpy.typing as npt
 
 from sphericalvision.core import FileFormatError, check_file
 
-__all__ = ["MAX_BYTES", "read_npy", "read_npz"]
-
 MAX_BYTES = 2**28
 """Of all arrays of a file together: a level 10 icosphere with directions, inverse depth and confidence has 210 MB."""
 

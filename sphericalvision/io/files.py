@@ -18,8 +18,6 @@ from pathlib import Path
 
 from sphericalvision.core import FileFormatError, MissingFileError
 
-__all__ = ["atomic_write", "by_numbers", "list_folder", "part_of_name", "read_text", "write_bytes"]
-
 
 def _machine() -> str:
     """This machine and, on Linux, its numbering of processes: containers may share a folder and a name of the host."""

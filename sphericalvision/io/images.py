@@ -21,19 +21,6 @@ from torch import Tensor
 from sphericalvision.core import ArgumentError, FileFormatError, ShapeError, check_choice, check_file
 from sphericalvision.io.files import write_bytes
 
-__all__ = [
-    "MAX_PIXELS",
-    "as_bytes",
-    "decode_image",
-    "read_image",
-    "read_image_size",
-    "read_mask",
-    "read_pages",
-    "write_image",
-    "write_mask",
-    "write_pages",
-]
-
 MAX_PIXELS = 2**27
 """Pixels of all pages of an image file together; a file that says it has more is refused before it is decoded."""
 

@@ -9,8 +9,6 @@ from pathlib import Path
 
 from sphericalvision.core import FileFormatError
 
-__all__ = ["PlyHeader", "read_ply_header"]
-
 MAX_LINES = 1000
 
 

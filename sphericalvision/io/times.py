@@ -9,8 +9,6 @@ from collections.abc import Iterable, Sequence
 
 from sphericalvision.io.files import by_numbers
 
-__all__ = ["SAME_TIME", "are_counts", "in_order", "nearest_in_time", "seconds"]
-
 SAME_TIME = 0.02
 """Seconds between what was taken at one time, at most."""
 

@@ -18,8 +18,6 @@ from yaml.constructor import ConstructorError
 from sphericalvision.core import FileFormatError
 from sphericalvision.io.files import read_text, write_bytes
 
-__all__ = ["parse_yaml", "read_yaml", "write_yaml"]
-
 MAX_VALUES = 1_000_000
 """Keys and values of a file, each counted as often as aliases refer to it."""
 

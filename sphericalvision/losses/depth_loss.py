@@ -12,8 +12,6 @@ from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry.directions import in_single_precision
 from sphericalvision.shapes import check_shapes
 
-__all__ = ["depth_index_huber", "mean_of_samples", "solid_angle_mean"]
-
 
 @check_shapes
 def depth_index_huber(

@@ -11,8 +11,6 @@ from sphericalvision.core import ArgumentError, check_counts
 from sphericalvision.metrics.images import MeanOverImages, absolute_error, point_weights, weighted_mean
 from sphericalvision.shapes import check_shapes
 
-__all__ = ["DepthError", "DepthIndexError", "depth_error", "depth_index_error"]
-
 
 @check_shapes
 def depth_index_error(

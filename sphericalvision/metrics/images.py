@@ -13,8 +13,6 @@ from torchmetrics import Metric
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.directions import holds
 
-__all__ = ["MeanOverImages", "absolute_error", "point_weights", "weighted_mean"]
-
 
 def point_weights(
     pred: Shaped[Tensor, "B V"],

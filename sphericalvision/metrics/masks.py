@@ -17,8 +17,6 @@ from sphericalvision.icosphere import icosphere_vertices
 from sphericalvision.icosphere.topology import vertex_at
 from sphericalvision.shapes import check_shapes
 
-__all__ = ["EvaluationMask", "evaluation_mask", "seam_mask"]
-
 SEAMS = ("all", "charts", "panorama")
 
 

@@ -11,8 +11,6 @@ from sphericalvision.metrics.depth_errors import depth_index_error
 from sphericalvision.metrics.images import MeanOverImages
 from sphericalvision.shapes import check_shapes
 
-__all__ = ["OmniMVSError", "omnimvs_error"]
-
 NUM_HYPOTHESES = 192
 
 

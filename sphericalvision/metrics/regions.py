@@ -12,8 +12,6 @@ from torchmetrics import Metric, MetricCollection
 
 from sphericalvision.core import ArgumentError, ShapeError
 
-__all__ = ["ByRegion"]
-
 
 class ByRegion(Metric):
     """A metric of this package in each of several regions, and everywhere.

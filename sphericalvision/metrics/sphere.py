@@ -16,8 +16,6 @@ from sphericalvision.core import ArgumentError, ShapeError, check_counts, check_
 from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere import SphereGrid
 
-__all__ = ["SolidAngleIoU", "SolidAngleMean", "angular_error"]
-
 
 @check_shapes
 def angular_error(

@@ -12,8 +12,6 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError
 
-__all__ = ["Interval", "bootstrap_interval", "error_of_surest"]
-
 
 class Interval(NamedTuple):
     """A mean, and bounds between which it lies with the probability asked for."""

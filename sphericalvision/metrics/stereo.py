@@ -10,8 +10,6 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.metrics.images import MeanOverImages, absolute_error, point_weights, weighted_mean
 from sphericalvision.shapes import check_shapes
 
-__all__ = ["LeftRightError", "StereoError", "left_right_error", "stereo_error"]
-
 
 @check_shapes
 def stereo_error(

@@ -12,8 +12,6 @@ from torch import Tensor
 from sphericalvision.icosphere import icosphere_rings, icosphere_vertices, level_from_num_vertices
 from sphericalvision.tables import constant_table
 
-__all__ = ["DepthStructure", "depth_structure", "local_contrast"]
-
 
 class DepthStructure(NamedTuple):
     """Where a depth map has which structure, each ``(*, V)``; the three may overlap or leave points out."""

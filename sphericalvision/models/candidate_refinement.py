@@ -24,8 +24,6 @@ from sphericalvision.models.tried_hypotheses import tried_index, two_modes
 from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth
 from sphericalvision.tables import constant_table
 
-__all__ = ["CandidateRefinement", "Candidates", "RefinedIndex", "candidates_of", "finer_logits"]
-
 RARE = -4.0
 """Logit of the sky before training."""
 PLAUSIBLE = 0.02

@@ -12,8 +12,6 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.models.sphere_blocks import SphereNetwork, convolution_block, pooling
 from sphericalvision.sphere import Equirectangular
 
-__all__ = ["SphereClassifier"]
-
 
 class SphereClassifier(SphereNetwork):
     """Four convolutions on three levels of detail, the mean over the sphere, and a linear layer.

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
     from sphericalvision.sphere import Equirectangular
 
-__all__ = ["DepthNetwork", "RemembersArguments"]
-
 
 class RemembersArguments(nn.Module):
     """A module that remembers the arguments of its constructor, without a line about them in its class.

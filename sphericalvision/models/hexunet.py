@@ -13,8 +13,6 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.crown import HexConv2d
 from sphericalvision.icosphere import icosphere_upsample
 
-__all__ = ["HexResidualBlock", "HexUNet"]
-
 
 class HexResidualBlock(nn.Module):
     """Add to values ``(B, C, V)`` what two hexagonal convolutions make of them; nothing before training.

@@ -11,8 +11,6 @@ from torch import Tensor, nn
 
 from sphericalvision.models.tried_hypotheses import at_index, tried_index
 
-__all__ = ["HintGate", "HintedIndex", "SweepClues", "agreement"]
-
 HINT_REACH = 4.0
 """Hypotheses beyond which it does not matter how far one is from a hint: it may be wrong."""
 HINT_STRENGTH = 3.0

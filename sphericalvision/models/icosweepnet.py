@@ -48,8 +48,6 @@ from sphericalvision.sweep.aggregation import aggregate, named_aggregation
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
 
-__all__ = ["CostRegularizer", "FeatureExtractor", "IcoSweepNet", "ResidualBlock", "camera_by_camera"]
-
 
 class IcoSweepNet(DepthNetwork):
     """Depth all around from the images of any rig, projected onto icospheres.

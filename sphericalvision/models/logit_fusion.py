@@ -16,8 +16,6 @@ from sphericalvision.models.hint_gate import HintedIndex, HintGate, SweepClues
 from sphericalvision.models.tried_hypotheses import best_mode
 from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth
 
-__all__ = ["FusedLogits", "LogitFusion", "camera_clue"]
-
 PRIOR_FLOOR = -8.0
 STRENGTH = 4.0
 """Of the residual, so that layers may be small."""

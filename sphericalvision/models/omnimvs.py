@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
     from sphericalvision.sphere import Equirectangular
 
-__all__ = ["OmniMVS"]
-
 LUMINANCE = (0.299, 0.587, 0.114)
 """Shares of red, green and blue in grey (Rec. 601)."""
 

@@ -16,18 +16,6 @@ from sphericalvision.crown.recompute import RecomputedModule
 from sphericalvision.sweep import PanoramaSweep
 from sphericalvision.sweep.panorama_sweep import PanoramaTables
 
-__all__ = [
-    "NORMS",
-    "CostHourglass",
-    "FisheyeFeatures",
-    "ImageConv",
-    "SphereConv",
-    "Transference",
-    "VolumeConv",
-    "VolumeUpConv",
-    "norm_layer",
-]
-
 NORMS = ("batch", "instance")
 """Normalisations: by the statistics of the batch, or of each sample alone."""
 

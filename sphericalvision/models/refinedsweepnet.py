@@ -55,8 +55,6 @@ from sphericalvision.tables import constant_table
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
 
-__all__ = ["RefinedSweepNet", "RefinedTables"]
-
 STATE = 12
 """Channels that fusion hands to refinement."""
 PRIOR = {

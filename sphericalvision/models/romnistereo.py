@@ -22,8 +22,6 @@ from sphericalvision.sweep.panorama_sweep import PanoramaTables
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
 
-__all__ = ["RomniStereo"]
-
 PYRAMID = 4
 """Scales of the correlation along the hypotheses, each half as fine as the one before."""
 RADIUS = 4

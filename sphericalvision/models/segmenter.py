@@ -14,8 +14,6 @@ from sphericalvision.crown import Crown, CrownUpsample, FromCrown, ToCrown
 from sphericalvision.icosphere import Icosphere, icosphere_upsample
 from sphericalvision.models.sphere_blocks import SphereNetwork, convolution_block, pooling
 
-__all__ = ["SphereSegmenter"]
-
 
 class SphereSegmenter(SphereNetwork):
     """A U-Net of three levels of detail.

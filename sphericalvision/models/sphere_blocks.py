@@ -23,8 +23,6 @@ from sphericalvision.crown import (
 from sphericalvision.icosphere import Icosphere, IcospherePool, num_icosphere_vertices
 from sphericalvision.sphere import Equirectangular, SphereConv2d
 
-__all__ = ["SPHERE_NETWORKS", "WIDTHS", "SphereNetwork", "convolution_block", "network_grid", "pooling"]
-
 SPHERE_NETWORKS = ("crown", "hex", "hexgroup", "sphere", "planar")
 
 WIDTHS = {"crown": 16, "hex": 16, "hexgroup": 4, "sphere": 14, "planar": 14}

@@ -26,8 +26,6 @@ from sphericalvision.sweep import (
 )
 from sphericalvision.sweep.semi_global import SemiGlobalTables
 
-__all__ = ["ConstantDepth", "SemiGlobalSweep", "WinnerTakesAll"]
-
 
 class _WithoutTraining(DepthNetwork):
     """A network without parameters, for any number of cameras."""

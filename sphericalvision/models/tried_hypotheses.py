@@ -9,8 +9,6 @@ from torch import Tensor
 
 from sphericalvision.tables import constant_table
 
-__all__ = ["at_index", "best_mode", "between_hypotheses", "tried_index", "two_modes"]
-
 REACH = 4
 """Tried hypotheses to each side of the best one that the expectation is taken over."""
 

@@ -16,8 +16,6 @@ from torch import Tensor
 
 from sphericalvision.io.files import atomic_write
 
-__all__ = ["ArrayCache", "decode", "encode"]
-
 Kept = tuple[tuple[int | None, ...], torch.dtype]
 """Shape and type of an array; sizes that are None are any."""
 

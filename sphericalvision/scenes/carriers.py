@@ -17,8 +17,6 @@ from sphericalvision.scenes.rendering.primitives import Part, Primitives, map_co
 from sphericalvision.scenes.rendering.raycast import trace
 from sphericalvision.scenes.rendering.scene import Scene, pack_materials
 
-__all__ = ["CARRIERS", "Carried", "carrier_masks", "with_carrier"]
-
 CARRIERS = ("pole", "robot", "vehicle")
 
 DEEPEST = 2.0

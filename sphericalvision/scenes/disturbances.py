@@ -17,15 +17,6 @@ from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.extensions import Registry
 from sphericalvision.geometry import angle_from_axis, transform_from_axis_angle
 
-__all__ = [
-    "DISTURBANCES",
-    "CameraDisturbance",
-    "RandomFaults",
-    "register_disturbance",
-    "turned_poses",
-    "vignetted",
-]
-
 Sample = dict[str, Any]
 
 DISPLAY = 2.2

@@ -8,8 +8,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-__all__ = ["Draws", "choose"]
-
 
 class Draws(NamedTuple):
     """The generators of one seed, by what is drawn from them: one more draw for one changes nothing of another."""

@@ -17,8 +17,6 @@ from sphericalvision.core import ArgumentError, check_file
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.scenes.rendering.mesh_scene import SUFFIXES, MeshScene, read_mesh_scene
 
-__all__ = ["MeshFiles", "PlacedMesh", "free_place", "mesh_files"]
-
 #: Raised when a seed finds another place in a mesh than before, or a mesh other colours, so that nothing kept of the
 #: old ones is taken for it.
 PLACES = 3

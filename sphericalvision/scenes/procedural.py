@@ -29,20 +29,8 @@ from torch import Tensor
 from sphericalvision.core import ArgumentError, check_type
 from sphericalvision.kernels import full_precision
 from sphericalvision.scenes.registry import scene_recipe, under_other_skies
-from sphericalvision.scenes.rendering.render import ray_depth, render_camera, render_directions, render_rig
+from sphericalvision.scenes.rendering.render import render_directions
 from sphericalvision.scenes.rendering.scene import Scene, pack_lamps
-
-__all__ = [
-    "Scene",
-    "exposed",
-    "make_scene",
-    "ray_depth",
-    "render_camera",
-    "render_directions",
-    "render_rig",
-    "under_another_sky",
-    "unlit",
-]
 
 BLACK, WHITE, FLAT, GRADIENT = 0.1, 0.15, 0.1, 0.25
 """Shares of skies that are black (a mesh without one), white (too bright), of one colour, and of two colours; the

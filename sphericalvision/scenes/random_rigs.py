@@ -13,8 +13,6 @@ from sphericalvision.cameras import Camera, CameraRig, EquirectangularCamera, Fi
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import transform_from_axis_angle
 
-__all__ = ["TILT_SPREAD", "LevelOrRandomRigs", "random_rig"]
-
 TILT_SPREAD = math.radians(8)
 """By which a camera may look further up or down than the others."""
 

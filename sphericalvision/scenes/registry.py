@@ -11,16 +11,6 @@ from sphericalvision.core import check_choice
 from sphericalvision.extensions import Registry
 from sphericalvision.scenes.rendering.scene import Scene
 
-__all__ = [
-    "ENTRY_POINTS",
-    "TURNS",
-    "kind_of",
-    "register_scene",
-    "scene_kinds",
-    "scene_recipe",
-    "under_other_skies",
-]
-
 ENTRY_POINTS = "sphericalvision.scenes"
 """Group of entry points, name -> recipe of a scene, in which other packages offer theirs."""
 

@@ -23,8 +23,6 @@ from sphericalvision.scenes.world import HELD_OUT_SEED, World, WorldFrame
 from sphericalvision.sphere import Equirectangular, SphereGrid
 from sphericalvision.sphere.intake import signed, unsigned
 
-__all__ = ["WorldSamples", "images_as_floats", "recorded_sample"]
-
 
 class WorldSamples(Dataset[dict[str, Any]]):
     """What seeds stand for in a world, each rendered when it is first asked for.

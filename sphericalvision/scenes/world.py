@@ -24,23 +24,14 @@ from sphericalvision.scenes.meshes import MeshFiles
 from sphericalvision.scenes.procedural import (
     exposed,
     make_scene,
-    ray_depth,
-    render_rig,
     under_another_sky,
     unlit,
 )
 from sphericalvision.scenes.random_rigs import TILT_SPREAD
 from sphericalvision.scenes.registry import kind_of, scene_kinds
 from sphericalvision.scenes.rendering.mesh_scene import MeshScene
+from sphericalvision.scenes.rendering.render import ray_depth, render_rig
 from sphericalvision.scenes.rendering.scene import Scene
-
-__all__ = [
-    "CLEAR_RADIUS",
-    "HELD_OUT_SEED",
-    "NATURAL_MIN_DEPTH",
-    "World",
-    "WorldFrame",
-]
 
 #: Scenes of this seed and above are kept for comparing methods: no training, validation or test of one uses them.
 HELD_OUT_SEED = 10_000_000

@@ -20,16 +20,6 @@ from sphericalvision.cameras.sphere_images import SphereLookup, sphere_lookups
 from sphericalvision.core import ArgumentError, ShapeError, check_floating
 from sphericalvision.icosphere import Icosphere
 
-__all__ = [
-    "Intake",
-    "as_colors",
-    "as_photographs",
-    "ordered_images",
-    "pixels_seen",
-    "signed",
-    "unsigned",
-]
-
 CHANNELS = (1, 3, 4)
 """Grey, colour, and colour with alpha, which is dropped."""
 PILLOW_MODES = ("L", "RGB", "RGBA", "I;16", "F")

@@ -17,17 +17,6 @@ from sphericalvision.core import ShapeError, check_choice
 from sphericalvision.extensions import Registry
 from sphericalvision.sweep.sphere_sweep import SweepVolume
 
-__all__ = [
-    "ENTRY_POINTS",
-    "Aggregation",
-    "Concatenation",
-    "MeanVariance",
-    "aggregate",
-    "mean_and_variance",
-    "named_aggregation",
-    "register_aggregation",
-]
-
 
 class Aggregation(nn.Module):
     """Base of aggregations: ``forward`` maps a ``SweepVolume`` of C channels to ``(B, out_channels, N, V)``.

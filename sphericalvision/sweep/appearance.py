@@ -11,8 +11,6 @@ from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.kernels import full_precision
 from sphericalvision.shapes import check_shapes
 
-__all__ = ["local_appearance"]
-
 
 @check_shapes
 @full_precision

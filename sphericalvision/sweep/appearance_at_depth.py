@@ -23,8 +23,6 @@ from sphericalvision.sweep.ring_mean import ids_of_coarser_level
 from sphericalvision.sweep.visibility import check_seen
 from sphericalvision.tables import constant_table
 
-__all__ = ["AppearanceAtDepth", "appearance_around", "appearance_at_depth"]
-
 
 class AppearanceAtDepth(NamedTuple):
     """Colours of the cameras that see a point, in the unit of the images.

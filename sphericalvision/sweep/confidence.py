@@ -10,8 +10,6 @@ from torch import Tensor
 from sphericalvision.icosphere import icosphere_neighbors, level_from_num_vertices
 from sphericalvision.sweep.ring_mean import ring_mean
 
-__all__ = ["sweep_confidence"]
-
 #: Logistic regression of "error below one hypothesis" on the two features: 42 frames of 12 rendered scenes, level and
 #: tilted by 30 degrees, clean, noisy, faint and bare, N = 16, costs at level 5 and tried at every half hypothesis.
 BIAS, WEIGHT_OF_MARGIN, WEIGHT_OF_SPREAD = 2.27, 0.5, -1.12

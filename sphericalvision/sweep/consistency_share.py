@@ -20,8 +20,6 @@ from sphericalvision.sweep.winner import at_nearest_hypothesis
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
 
-__all__ = ["consistency_share", "photo_consistency_share"]
-
 
 @torch.no_grad()
 @check_shapes

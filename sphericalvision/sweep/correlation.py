@@ -27,8 +27,6 @@ from sphericalvision.sweep.sphere_sweep import sphere_sweep
 from sphericalvision.sweep.sweep_tables import SweepTables
 from sphericalvision.sweep.visibility import check_seen
 
-__all__ = ["LEAST_SHARE", "NOISE", "correlation_evidence", "mean_of_better_half", "window_correlations"]
-
 #: Contrast below which nothing is told, in the unit of images in [-1, 1]: about one step of 8 bits.
 NOISE = 0.01
 #: How much of what is interpolated at a point must be seen for the point to count as seen.

@@ -13,8 +13,6 @@ from sphericalvision.core import ShapeError, check_floating, check_tensor, check
 from sphericalvision.icosphere import level_from_num_vertices
 from sphericalvision.sweep.ring_mean import ids_of_coarser_level, ring_mean
 
-__all__ = ["DepthHint", "check_hint"]
-
 
 class DepthHint(NamedTuple):
     """Depth that a LiDAR, a monocular network or the last frame says of some directions, on a network's icosphere.

@@ -18,16 +18,6 @@ from sphericalvision.core import ArgumentError, check_type, short_repr
 from sphericalvision.geometry.directions import in_single_precision
 from sphericalvision.shapes import check_shapes
 
-__all__ = [
-    "INVERSE_DEPTH_OFFSET",
-    "check_hypotheses",
-    "depth_from_index",
-    "index_from_depth",
-    "index_from_inverse_depth",
-    "inverse_depth_from_index",
-    "inverse_depth_hypotheses",
-]
-
 _MOST_INDEX = 1e30  # whose depth is still above zero in float32
 MAX_HYPOTHESES = 4096
 """The most hypotheses: twenty times those of any published network."""

@@ -18,8 +18,6 @@ from sphericalvision.sweep.semi_global import semi_global_sweep
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
 
-__all__ = ["nearest_depth"]
-
 ROUNDS, HYPOTHESES, SURE = 3, 32, 0.6
 """Of sweeps; of each sweep; the confidence above which an answer counts."""
 

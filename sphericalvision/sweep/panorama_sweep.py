@@ -18,8 +18,6 @@ from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hypotheses
 
-__all__ = ["PanoramaSweep", "PanoramaTables"]
-
 OUTSIDE = -3.0
 """Where the grids point out of view: so far off the image that nothing but zeros is there."""
 

@@ -27,8 +27,6 @@ from sphericalvision.sweep.winner import winner_takes_all
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
 
-__all__ = ["deviation_cost", "photo_consistency"]
-
 
 @check_shapes
 def photo_consistency(

@@ -12,8 +12,6 @@ from torch import Tensor
 from sphericalvision.shapes import check_shapes
 from sphericalvision.tables import constant_table
 
-__all__ = ["DepthEstimate", "depth_estimate", "soft_argmax", "soft_argmax_confidence"]
-
 
 class DepthEstimate(NamedTuple):
     """What a network says: a hypothesis index, the confidence in it (0 to 1), and whether two cameras saw that point.

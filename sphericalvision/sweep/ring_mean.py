@@ -12,8 +12,6 @@ from sphericalvision.icosphere import icosphere_neighbors, level_from_num_vertic
 from sphericalvision.icosphere.topology import coarse_vertex_ids
 from sphericalvision.tables import constant_table
 
-__all__ = ["coarser_images", "ids_of_coarser_level", "ring_mean"]
-
 
 def ring_mean(values: Float[Tensor, " V *rest"], level: int | None = None) -> Float[Tensor, " V_level *rest"]:
     """Average values ``(V, *)`` over each vertex of an icosphere and its neighbours.

@@ -28,15 +28,6 @@ from sphericalvision.sweep.winner import at_nearest_hypothesis, winner_takes_all
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
 
-__all__ = [
-    "SemiGlobalTables",
-    "SmoothedCosts",
-    "check_tables",
-    "semi_global_costs",
-    "semi_global_sweep",
-    "semi_global_tables",
-]
-
 
 class SemiGlobalTables(NamedTuple):
     """A rig made ready for ``semi_global_sweep``.

@@ -19,8 +19,6 @@ from sphericalvision.kernels import Operator
 from sphericalvision.shapes import check_shapes
 from sphericalvision.tables import constant_table
 
-__all__ = ["SmoothingPaths", "semi_global_smoothing", "smoothing_paths"]
-
 
 @check_shapes
 def semi_global_smoothing(

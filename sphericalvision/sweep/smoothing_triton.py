@@ -8,8 +8,6 @@ import triton.language as tl
 from jaxtyping import Float, Int
 from torch import Tensor
 
-__all__ = ["path_costs_kernel"]
-
 PATHS = 8
 """Of a program, which is one warp: all hypotheses of a path lie in its registers."""
 

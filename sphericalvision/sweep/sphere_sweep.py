@@ -20,8 +20,6 @@ from sphericalvision.sweep.sweep_tables import SweepTables, sweep_tables
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
 
-__all__ = ["SphereSweep", "SweepTables", "SweepVolume", "sphere_sweep", "sweep_tables"]
-
 
 class SweepVolume(NamedTuple):
     """What n cameras see at N hypotheses.

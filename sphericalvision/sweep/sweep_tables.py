@@ -17,8 +17,6 @@ from sphericalvision.core import check_type
 from sphericalvision.icosphere import TriangleLocator
 from sphericalvision.kernels import Operator
 
-__all__ = ["SweepTables", "sweep_tables"]
-
 
 class SweepTables(NamedTuple):
     """Where to look up every (hypothesis, vertex, camera) on the cameras' icospheres: a rig, made ready.

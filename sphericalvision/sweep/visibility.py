@@ -15,8 +15,6 @@ from sphericalvision.shapes import check_shapes
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
 
-__all__ = ["check_seen", "seen_in_view"]
-
 
 def seen_in_view(rig: CameraRig, level: int) -> Bool[Tensor, "*b n V"]:
     """Return which vertices of its icosphere each camera sees, ``(*b, n, V)`` bool: its field of view less its mask.

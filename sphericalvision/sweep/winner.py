@@ -7,8 +7,6 @@ import torch
 from jaxtyping import Float, Shaped
 from torch import Tensor
 
-__all__ = ["at_nearest_hypothesis", "winner_takes_all"]
-
 
 def winner_takes_all(cost: Float[Tensor, "B N V"], subhypothesis: bool = False) -> Float[Tensor, "B V"]:
     """Return the index ``(B, V)`` of the smallest cost ``(B, N, V)``; infinite ones are left out.

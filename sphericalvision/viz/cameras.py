@@ -16,8 +16,6 @@ from sphericalvision.cameras.checks import check_image
 from sphericalvision.geometry import angle_from_axis
 from sphericalvision.viz.figure import figure_pixels
 
-__all__ = ["angle_map"]
-
 Picture = npt.NDArray[np.uint8]
 
 _DPI = 150

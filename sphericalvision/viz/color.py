@@ -14,18 +14,6 @@ import torch
 
 from sphericalvision.core import ArgumentError, check_choice
 
-__all__ = [
-    "DEPTH_MAP",
-    "ERROR_MAP",
-    "UNKNOWN_GREY",
-    "colorize",
-    "depth_ticks",
-    "depth_to_color",
-    "error_to_color",
-    "fade",
-    "near_end",
-]
-
 Picture = npt.NDArray[np.uint8]
 Values = torch.Tensor | npt.NDArray[Any]
 

@@ -17,8 +17,6 @@ from sphericalvision.viz.color import colorize, fade
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["add_scale_bar", "figure_pixels", "sheet", "strip"]
-
 Picture = npt.NDArray[np.uint8]
 
 _BORDER = 10  # pixels left around a trimmed figure

@@ -17,8 +17,6 @@ from sphericalvision.viz.color import colorize
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["icosphere_mesh", "sphere_mesh", "surface_mesh"]
-
 
 @check_shapes
 def icosphere_mesh(

@@ -19,19 +19,8 @@ from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.viz.color import DEPTH_MAP, ERROR_MAP, depth_ticks, depth_to_color, error_to_color, fade
-from sphericalvision.viz.figure import add_scale_bar, sheet
+from sphericalvision.viz.figure import add_scale_bar
 from sphericalvision.viz.pointcloud import point_colors
-
-__all__ = [
-    "confidence_strength",
-    "depth_panorama",
-    "depth_to_color",
-    "error_panorama",
-    "error_to_color",
-    "icosphere_to_panorama",
-    "rgb_panorama",
-    "sheet",
-]
 
 Picture = npt.NDArray[Any]
 

@@ -20,8 +20,6 @@ from sphericalvision.io.files import atomic_write, write_bytes
 from sphericalvision.kernels import full_precision
 from sphericalvision.shapes import check_shapes
 
-__all__ = ["PointCloud", "point_colors", "save_point_cloud"]
-
 
 class PointCloud(NamedTuple):
     """Points ``(n, 3)`` in metres in the rig's frame (x right, y down, z forward) and colours ``(n, 3)`` "

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from mpl_toolkits.mplot3d import Axes3D
 
-__all__ = ["coverage_panorama", "rig_picture"]
-
 Picture = npt.NDArray[np.uint8]
 
 _WIDTH, _DPI = 5, 150  # inches: letters can be read on a telephone, too

@@ -14,9 +14,10 @@ from sphericalvision.capture.preparation.preparation import (
     LEAST_NOISE,
     Compensation,
     Preparation,
+    _inside,
+    _noise,
     compensated,
     denoised,
-    noise_of,
 )
 from sphericalvision.scenes import make_scene, render_rig
 
@@ -29,6 +30,10 @@ def rig() -> CameraRig:
 @pytest.fixture(scope="module")
 def clean(rig: CameraRig) -> dict[str, Tensor]:
     return render_rig(make_scene("room", seed=3), rig, 2)
+
+
+def noise_of(image: Tensor, usable: Tensor | None = None) -> float:
+    return _noise(image[None], None if usable is None else _inside(usable)).item()
 
 
 def noisy(images: dict[str, Tensor], amount: float) -> dict[str, Tensor]:
@@ -50,6 +55,7 @@ def test_clipped_values_and_what_is_outside_of_the_lens_say_nothing(clean: dict[
     image[:, :80] = 0.0
     assert noise_of(image) == pytest.approx(0.03, rel=0.15)
     assert noise_of(torch.ones(3, 16, 16)) == 0.0
+    assert noise_of(torch.linspace(0.3, 0.7, 64).expand(3, 64, 64)) == pytest.approx(0.0, abs=1e-4)
 
 
 def test_large_images_are_sampled(clean: dict[str, Tensor]) -> None:

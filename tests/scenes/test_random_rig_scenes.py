@@ -16,7 +16,8 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.scenes import World
 from sphericalvision.scenes.disturbances import DISPLAY
 from sphericalvision.scenes.draws import Draws
-from sphericalvision.scenes.procedural import make_scene, ray_depth, render_directions, render_rig
+from sphericalvision.scenes.procedural import make_scene
+from sphericalvision.scenes.rendering.render import ray_depth, render_directions, render_rig
 from tests.worlds import RANDOM_RIGS, random_rigs
 from tests.worlds import scenes as world_scenes
 

@@ -21,7 +21,8 @@ from sphericalvision.data import SampleView
 from sphericalvision.data.augmentation.fivefold import RotateFivefold, rotate_fivefold
 from sphericalvision.data.augmentation.sphere_rotation import yaw_angle, yaw_rotation
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.scenes.procedural import make_scene, ray_depth, render_directions
+from sphericalvision.scenes.procedural import make_scene
+from sphericalvision.scenes.rendering.render import ray_depth, render_directions
 from tests.worlds import scenes
 
 Sample = dict[str, Any]

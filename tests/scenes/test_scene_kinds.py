@@ -17,8 +17,9 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.recipes.evaluation.tracks import TRACKS
 from sphericalvision.scenes import registry
-from sphericalvision.scenes.procedural import make_scene, ray_depth, render_camera, render_directions
+from sphericalvision.scenes.procedural import make_scene
 from sphericalvision.scenes.registry import kind_of, register_scene, scene_kinds, scene_recipe
+from sphericalvision.scenes.rendering.render import ray_depth, render_camera, render_directions
 from sphericalvision.scenes.rendering.scene import Scene
 
 ORIGIN = torch.zeros(3)

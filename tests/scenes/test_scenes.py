@@ -11,16 +11,17 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import EquirectangularCamera, FisheyeCamera, ring_rig
-from sphericalvision.scenes.procedural import (
-    make_scene,
+from sphericalvision.scenes.procedural import make_scene
+from sphericalvision.scenes.registry import scene_kinds, under_other_skies
+from sphericalvision.scenes.rendering.primitives import Part, pack
+from sphericalvision.scenes.rendering.render import (
+    _spread,
+    _stratified,
     ray_depth,
     render_camera,
     render_directions,
     render_rig,
 )
-from sphericalvision.scenes.registry import scene_kinds, under_other_skies
-from sphericalvision.scenes.rendering.primitives import Part, pack
-from sphericalvision.scenes.rendering.render import _spread, _stratified
 from sphericalvision.scenes.rendering.scene import Lamp, Material, Scene, pack_lamps, pack_materials
 from sphericalvision.scenes.rendering.shading import SurfaceTable, _albedo
 from sphericalvision.scenes.rendering.textures import (

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import Camera, EquirectangularCamera, FisheyeCamera
-from sphericalvision.scenes.procedural import make_scene, ray_depth, render_camera, render_directions
+from sphericalvision.scenes.procedural import make_scene
 from sphericalvision.scenes.registry import scene_kinds
 from sphericalvision.scenes.rendering.primitives import SHAPES, Part, Primitives, pack
 from sphericalvision.scenes.rendering.ray_packets import (
@@ -21,6 +21,7 @@ from sphericalvision.scenes.rendering.ray_packets import (
     packed,
 )
 from sphericalvision.scenes.rendering.raycast import first_hits
+from sphericalvision.scenes.rendering.render import ray_depth, render_camera, render_directions
 from sphericalvision.scenes.rendering.scene import Lamp, Material, Scene, pack_lamps, pack_materials
 from sphericalvision.scenes.rendering.shading import SHADOW_GAP, SurfaceSamples, irradiance, normals_and_uv
 

@@ -21,8 +21,6 @@ from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called
 from sphericalvision.core import FileFormatError
 
-__all__ = ["contents"]
-
 _LENSES = (
     Lens("ds", "double_sphere", "fx fy cx cy xi alpha"),
     Lens("eucm", "extended_unified", "fx fy cx cy alpha beta"),

@@ -27,8 +27,6 @@ from sphericalvision.cameras.calibration.parsing import numbers
 from sphericalvision.cameras.calibration.poses import transform_from_numbers
 from sphericalvision.core import FileFormatError, short_repr
 
-__all__ = ["contents"]
-
 _LENSES = (
     Lens(
         "FisheyeRadTanThinPrism",

@@ -27,8 +27,6 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.io.files import by_numbers
 from sphericalvision.io.yaml_files import write_yaml
 
-__all__ = ["contents", "files_of_rig", "write_asl_camera", "write_asl_rig"]
-
 _NAME = "sensor.yaml"
 _LENSES = (
     Lens("none", "pinhole", "fu=fx fv=fy cu=cx cv=cy"),

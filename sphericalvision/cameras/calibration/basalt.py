@@ -36,8 +36,6 @@ from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import FileFormatError
 from sphericalvision.io.images import read_mask, write_mask
 
-__all__ = ["contents", "write_basalt"]
-
 _LENSES = (
     Lens("ds", "double_sphere", "fx fy cx cy xi alpha"),
     Lens("eucm", "extended_unified", "fx fy cx cy alpha beta"),

@@ -43,8 +43,6 @@ from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.core import FileFormatError, short_repr
 from sphericalvision.geometry.panorama import ALL_LATITUDES, ALL_LONGITUDES
 
-__all__ = ["contents", "recognizes"]
-
 _PANORAMAS = ("FISHEYE_EQUIDISTANT", "FISHEYE_EQUISOLID", "FISHEYE_LENS_POLYNOMIAL", "EQUIRECTANGULAR")
 _FITS = ("AUTO", "HORIZONTAL", "VERTICAL")
 _LARGEST_CONSTANT = 0.1

@@ -31,8 +31,6 @@ from sphericalvision.cameras.calibration.text_files import data_lines, load_keys
 from sphericalvision.core import FileFormatError, MissingFileError
 from sphericalvision.io.files import part_of_name
 
-__all__ = ["KITTI360_POSES", "camera_in", "contents", "kitti360_contents", "recognizes"]
-
 KITTI360_POSES = "calib_cam_to_pose.txt"
 _LENSES = (
     Lens("MEI", "unified", "xi k1 k2 p1 p2 gamma1=fx gamma2=fy u0=cx v0=cy", zeros="k3"),

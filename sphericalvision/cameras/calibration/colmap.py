@@ -56,8 +56,6 @@ from sphericalvision.core import ArgumentError, FileFormatError, check_file
 from sphericalvision.geometry import invert_transform
 from sphericalvision.io.files import write_bytes
 
-__all__ = ["contents", "recognizes", "write_colmap", "write_colmap_model", "write_colmap_rig"]
-
 _PARTS = ("cameras", "rigs", "images", "frames")
 _BY_NAME = (*(f"{part}.bin" for part in _PARTS), "rigs.txt", "images.txt", "frames.txt")
 _LENSES = (

@@ -21,20 +21,6 @@ from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import invert_transform
 from sphericalvision.io.files import read_text
 
-__all__ = [
-    "MODELS",
-    "CameraRecord",
-    "ImageRecord",
-    "PointRecords",
-    "RigRecord",
-    "SensorRecord",
-    "binary_files",
-    "cameras_in",
-    "images_in",
-    "rigs_in",
-    "text_files",
-]
-
 Record = TypeVar("Record")
 
 MODELS: dict[str, tuple[int, str]] = {

@@ -18,9 +18,6 @@ from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, short_repr
 
-__all__ = ["Contents", "Gathered", "Options", "joined", "warn_left_out"]
-
-
 SHORTEST, LONGEST = 0.02, 100.0
 """Focal lengths in longer sides of the image: a lens of 280° has 0.2, a telescope 50."""
 

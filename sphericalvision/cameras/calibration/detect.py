@@ -17,8 +17,6 @@ from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, check_type
 from sphericalvision.io.files import read_text
 
-__all__ = ["read_camera", "read_cameras", "read_rig"]
-
 
 def read_rig(
     path: str | Path,

@@ -14,18 +14,6 @@ from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.extensions import Registry
 
-__all__ = [
-    "ENTRY_POINTS",
-    "FileFormat",
-    "file_format",
-    "file_formats",
-    "has_all",
-    "has_any",
-    "known_formats",
-    "register_format",
-]
-
-
 ENTRY_POINTS = "sphericalvision.formats"
 """Group of entry points, name -> ``FileFormat``, in which other packages offer theirs."""
 

@@ -20,8 +20,6 @@ from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import distorted
 from sphericalvision.core import FileFormatError
 
-__all__ = ["contents"]
-
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
     """The camera of a parsed file."""

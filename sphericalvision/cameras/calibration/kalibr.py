@@ -33,8 +33,6 @@ from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import invert_transform
 from sphericalvision.io.yaml_files import write_yaml
 
-__all__ = ["contents", "recognizes", "write_kalibr"]
-
 _LENSES = (
     Lens("pinhole none", "pinhole", "fu=fx fv=fy pu=cx pv=cy"),
     Lens("pinhole radtan", "brown_conrady", "fu=fx fv=fy pu=cx pv=cy k1 k2 p1 p2"),

@@ -28,8 +28,6 @@ from sphericalvision.cameras.calibration.parsing import (
 from sphericalvision.cameras.calibration.poses import transform_from_rows
 from sphericalvision.core import FileFormatError, short_repr
 
-__all__ = ["SETTINGS", "Keys", "as_keys", "check_understood", "with_keys"]
-
 _NEVER_MATTER = re.compile(
     "(time|date|stamp|timestamp|comment|note|description|author|error|rms|residual|board|square|marker|chessboard|charuco|aruco"
     "|covariance|std|deviation|uncertainty|header|seq|dt)s?"

@@ -28,8 +28,6 @@ from sphericalvision.cameras.calibration.text_files import data_lines, looks_str
 from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import invert_transform
 
-__all__ = ["contents", "recognizes"]
-
 KITTI_NAME = "calib_cam_to_cam.txt"
 _KEY = re.compile(r"[A-Z][A-Za-z_]*_\d\d:|calib_time:|corner_dist:")
 

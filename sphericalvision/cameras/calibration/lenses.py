@@ -28,19 +28,6 @@ from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.geometry.panorama import ALL_LATITUDES, ALL_LONGITUDES
 
-__all__ = [
-    "PANORAMA",
-    "Lens",
-    "as_rig",
-    "check_holds",
-    "distorted",
-    "lens_called",
-    "lens_of",
-    "models_of",
-    "numbers_of",
-    "refuse_mask_of_another",
-]
-
 
 @dataclass(frozen=True)
 class Lens:

@@ -22,8 +22,6 @@ from sphericalvision.cameras.calibration.lenses import distorted
 from sphericalvision.cameras.calibration.parsing import metres_per
 from sphericalvision.core import ArgumentError, FileFormatError
 
-__all__ = ["contents", "recognizes"]
-
 
 def recognizes(content: dict[str, Any]) -> bool:
     """Whether a parsed file has ``nb_camera``, or cameras with a ``camera_pose_matrix``."""

@@ -40,8 +40,6 @@ from sphericalvision.cameras.calibration.poses import transform_from_rows
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.core import FileFormatError
 
-__all__ = ["contents", "recognizes"]
-
 _TYPES = ("frame", "fisheye", "equidistant_fisheye", "equisolid_fisheye", "spherical")
 _KEYS = ("f", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4", "b1", "b2")
 _PLAIN = Lens("frame", "pinhole", "f+b1=fx f=fy cx cy")

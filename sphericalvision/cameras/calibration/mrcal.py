@@ -23,8 +23,6 @@ from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import invert_transform
 from sphericalvision.io.files import by_numbers, read_text
 
-__all__ = ["contents", "files_of_rig", "recognizes"]
-
 _MODELS = {
     "LENSMODEL_PINHOLE": ("none", 4),
     "LENSMODEL_OPENCV4": ("radtan", 8),

@@ -34,8 +34,6 @@ from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.core import FileFormatError, check_file
 from sphericalvision.geometry import transform_from_quaternion
 
-__all__ = ["MULTICOL_POSES", "contents", "recognizes"]
-
 MULTICOL_POSES = "MultiCamSys_Calibration.yaml"
 _IGNORED = SETTINGS + r"(?!Camera).*|Camera\.(fps|RGB|mirrorMask)"
 _CAMERA_FILE = "InteriorOrientationFisheye{index}.yaml"

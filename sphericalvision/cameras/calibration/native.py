@@ -25,12 +25,6 @@ from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import FileFormatError, short_repr
 from sphericalvision.io.images import read_mask
 
-__all__ = [
-    "camera_from_dict",
-    "contents",
-    "recognizes",
-]
-
 
 def camera_from_dict(values: Any, where: str, dtype: torch.dtype | None = None) -> Camera:
     """The camera of such a mapping; ``where`` names file and place in errors.

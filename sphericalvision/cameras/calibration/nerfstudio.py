@@ -42,8 +42,6 @@ from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.io.images import read_mask
 
-__all__ = ["contents", "nerfstudio_content", "recognizes", "write_nerfstudio"]
-
 _LENSES = (
     Lens("PINHOLE", "pinhole", "fl_x=fx fl_y=fy cx cy"),
     Lens("SIMPLE_PINHOLE", "pinhole", "fl_x=fx fl_y=fy cx cy"),

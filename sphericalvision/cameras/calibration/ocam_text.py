@@ -29,15 +29,6 @@ from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, check_file
 from sphericalvision.io.files import atomic_write, by_numbers, read_text
 
-__all__ = [
-    "check_inverse",
-    "contents",
-    "make_ocam",
-    "ocam_numbers",
-    "recognizes",
-    "write_ocam_text",
-]
-
 STEREO_SETS_MAX_ANGLE = math.radians(110)
 """Half the field of view of the omnidirectional stereo sets' lenses, which their text files do not tell."""
 

@@ -20,8 +20,6 @@ from sphericalvision.cameras.calibration.keys import SETTINGS, Keys
 from sphericalvision.cameras.calibration.lenses import distorted
 from sphericalvision.cameras.calibration.parsing import focal_lengths
 
-__all__ = ["contents", "recognizes"]
-
 
 def recognizes(content: dict[str, Any]) -> bool:
     """Whether a parsed file has a list of cameras with OKVIS's keys."""

@@ -25,8 +25,6 @@ from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.io.images import read_mask, write_mask
 from sphericalvision.io.yaml_files import write_yaml
 
-__all__ = ["contents", "recognizes", "write_omnimvs"]
-
 
 def recognizes(content: dict[str, Any]) -> bool:
     """Whether a parsed file has a list of cameras, with keys of OCam or of this family."""

@@ -54,8 +54,6 @@ from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.geometry import invert_transform
 from sphericalvision.io.files import atomic_write
 
-__all__ = ["contents", "recognizes", "write_opencv"]
-
 _FLAG = ("fisheyemodel", "fisheye")
 _PAIRS = {"intrinsics": "extrinsics", "extrinsics": "intrinsics"}
 """File names of OpenCV's stereo sample, each with that of the other half."""

@@ -17,8 +17,6 @@ from sphericalvision.cameras.calibration.parsing import matrix
 from sphericalvision.cameras.calibration.poses import checked_radians
 from sphericalvision.core import FileFormatError
 
-__all__ = ["DISTORTION", "MATRIX", "MODEL", "ROTATION", "SIZE", "TRANSLATION", "find", "matrix", "rotation"]
-
 MATRIX = ("cameramatrix", "k", "m", "mtx")
 _COEFFICIENTS = ("", "coefficient", "coeff", "coef", "vector", "vec", "parameter", "param")
 _DISTORTION = [f"{start}{end}" for start in ("dist", "distortion") for end in _COEFFICIENTS]

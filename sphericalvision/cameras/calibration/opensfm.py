@@ -26,8 +26,6 @@ from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.core import FileFormatError, short_repr
 from sphericalvision.geometry import invert_transform
 
-__all__ = ["contents", "recognizes"]
-
 _MODELS = {
     "perspective": ("radtan", "k1 k2 0 0"),
     "simple_radial": ("radtan", "k1 0 0 0"),

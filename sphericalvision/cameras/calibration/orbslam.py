@@ -28,8 +28,6 @@ from sphericalvision.core import ArgumentError, FileFormatError, short_repr
 from sphericalvision.geometry import invert_transform
 from sphericalvision.io.files import atomic_write
 
-__all__ = ["contents", "recognizes", "write_orbslam"]
-
 _LENSES = (
     Lens("KannalaBrandt8", "kannala_brandt", "fx fy cx cy k1 k2 k3 k4"),
     Lens("Rectified", "pinhole", "fx fy cx cy"),

@@ -15,21 +15,6 @@ from sphericalvision.cameras.registry import model_meant
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import FileFormatError, SphericalVisionError, check_choice, short_repr
 
-__all__ = [
-    "FARTHEST",
-    "METRES_PER_UNIT",
-    "check_radius",
-    "chosen",
-    "chosen_model",
-    "errors_of_file",
-    "focal_lengths",
-    "matrix",
-    "metres_per",
-    "numbers",
-    "size_from_width_height",
-    "view_name",
-]
-
 METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 FARTHEST = 1e8
 """Metres from the origin; no place on Earth is as far from its centre."""

@@ -15,17 +15,6 @@ from sphericalvision.cameras.calibration.parsing import numbers
 from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import transform_from_axis_angle, transform_from_quaternion
 
-__all__ = [
-    "OPENGL_FROM_OPENCV",
-    "axis_angle_from_rotation",
-    "checked_radians",
-    "checked_rigid",
-    "quaternion_from_rotation",
-    "transform_from_numbers",
-    "transform_from_rotation_vector",
-    "transform_from_rows",
-]
-
 OPENGL_FROM_OPENCV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 """From x right, y down, z forward to x right, y up, z backward, and back."""
 

@@ -29,8 +29,6 @@ from sphericalvision.cameras.calibration.parsing import errors_of_file, numbers
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.core import FileFormatError, short_repr
 
-__all__ = ["contents"]
-
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
     """The camera of a parsed file, called by its ``camera_name``."""

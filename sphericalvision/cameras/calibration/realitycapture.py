@@ -31,8 +31,6 @@ from sphericalvision.cameras.calibration.text_files import once, parse_xml
 from sphericalvision.core import FileFormatError
 from sphericalvision.io.files import by_numbers, read_text
 
-__all__ = ["contents", "files_of_rig", "recognizes"]
-
 _XCR = "{http://www.capturingreality.com/ns/xcr/1.1#}"
 _PERSPECTIVE = Lens("perspective", "pinhole", "FocalLength35mm=fx AspectRatio=fy cx cy")
 _BROWN = Lens("brown3t2", "brown_conrady", "FocalLength35mm=fx AspectRatio=fy cx cy k1 k2 k3 t1=p2 t2=p1")

@@ -11,8 +11,6 @@ from sphericalvision.cameras.calibration.formats import file_format, file_format
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, check_choice, check_type
 
-__all__ = ["camera_formats", "rig_formats", "save_camera", "save_rig"]
-
 
 def camera_formats() -> tuple[str, ...]:
     """Names of the formats in which ``save_camera`` writes.

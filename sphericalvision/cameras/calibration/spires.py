@@ -21,8 +21,6 @@ from sphericalvision.cameras.calibration.lenses import distorted
 from sphericalvision.cameras.calibration.poses import transform_from_numbers
 from sphericalvision.geometry import invert_transform
 
-__all__ = ["contents", "recognizes"]
-
 _MODELS = {"PINHOLE": "none", "OPENCV": "radtan", "OPENCV_FISHEYE": "equidistant"}
 
 

@@ -20,8 +20,6 @@ from sphericalvision.cameras.calibration.formats import FileFormat, register_for
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called
 
-__all__ = ["contents", "recognizes"]
-
 _LENSES = (
     Lens("fisheye", "kannala_brandt", "fx fy cx cy k1 k2 k3 k4"),
     Lens("perspective", "brown_conrady", "fx fy cx cy k1 k2 p1 p2 k3"),

@@ -23,8 +23,6 @@ from sphericalvision.cameras.calibration.keys import SETTINGS, Keys
 from sphericalvision.cameras.calibration.lenses import distorted
 from sphericalvision.core import FileFormatError
 
-__all__ = ["contents", "recognizes"]
-
 _DISTORTIONS = ("none", "equidistant", "radial-tangential")
 
 

@@ -19,18 +19,6 @@ from sphericalvision.core import FileFormatError
 from sphericalvision.io.files import atomic_write, read_text
 from sphericalvision.io.yaml_files import parse_yaml
 
-__all__ = [
-    "STRUCTURED",
-    "data_lines",
-    "from_xml",
-    "load",
-    "load_keys",
-    "looks_structured",
-    "once",
-    "parse_xml",
-    "write_json",
-]
-
 STRUCTURED = (".yaml", ".yml", ".json", ".xml")
 """Suffixes of files that hold keys with values."""
 

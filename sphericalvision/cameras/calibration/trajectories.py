@@ -28,8 +28,6 @@ from sphericalvision.geometry import invert_transform
 from sphericalvision.io.files import read_text
 from sphericalvision.io.times import in_order, seconds
 
-__all__ = ["read_trajectory"]
-
 EXPECTED = (
     "TUM's (time tx ty tz qx qy qz qw), a table whose header names these columns (EuRoC's data.csv), KITTI's "
     "(12 numbers, or 16, with or without the number of the image before them), or images.txt or images.bin of COLMAP"

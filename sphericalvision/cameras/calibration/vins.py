@@ -19,8 +19,6 @@ from sphericalvision.cameras.calibration.formats import FileFormat, has_any, reg
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys
 from sphericalvision.core import FileFormatError, check_file, short_repr
 
-__all__ = ["contents"]
-
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
     """The cameras ``cam0`` and ``cam1`` of a parsed file, and their poses."""

@@ -13,8 +13,6 @@ from sphericalvision.cameras.base import AnyCamera, Camera
 from sphericalvision.cameras.calibration.parsing import errors_of_file
 from sphericalvision.core import FileFormatError
 
-__all__ = ["bounded", "widest_angle"]
-
 
 @torch.no_grad()
 def widest_angle(camera: Camera, mask: Bool[Tensor, "h w"] | None = None) -> float:

@@ -28,8 +28,6 @@ from sphericalvision.cameras.calibration.text_files import load
 from sphericalvision.cameras.models.radial_polynomial import RadialPolynomialCamera
 from sphericalvision.io.files import by_numbers
 
-__all__ = ["contents", "files_of_rig", "recognizes"]
-
 
 def recognizes(content: dict[str, Any]) -> bool:
     """Whether a parsed file has an ``intrinsic`` with WoodScape's keys."""

@@ -15,8 +15,6 @@ from sphericalvision.cameras.base import Camera, check_single
 from sphericalvision.cameras.field_of_view import directions_around_axis, visible_angle
 from sphericalvision.core import ArgumentError, check_type
 
-__all__ = ["CameraDifference", "compare_cameras"]
-
 _AZIMUTHS = 180
 _STEP = math.radians(10)
 

@@ -17,14 +17,12 @@ from sphericalvision.cameras.model_alone import project_by_model
 from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.models.ocam import OCamCamera
-from sphericalvision.cameras.models.ocam_polynomials import InverseFit, fit_direct, fit_inverse_polynomial
+from sphericalvision.cameras.models.ocam_polynomials import fit_direct, fit_inverse_polynomial
 from sphericalvision.cameras.models.pinhole import PinholeCamera
 from sphericalvision.cameras.registry import camera_model_meant, camera_model_names
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.geometry import angle_from_axis
 from sphericalvision.geometry.rootfinding import polynomial
-
-__all__ = ["Conversion", "InverseFit", "convert", "fit_inverse_polynomial"]
 
 _HELD_OUT = 12_000  # directions in the cap of the field of view; fewer are on the image
 

@@ -17,8 +17,6 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import angle_from_axis
 from sphericalvision.geometry.least_squares import solve_least_squares
 
-__all__ = ["ROUNDS", "Fit", "cannot_show", "fit_model"]
-
 ROUNDS = 6
 """Fits over a field of view that is narrowed to what the model reaches."""
 

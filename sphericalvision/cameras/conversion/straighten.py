@@ -14,8 +14,6 @@ from sphericalvision.cameras.base import Camera, check_single
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.cameras.rig import CameraRig
 
-__all__ = ["Straightened", "straighten", "straighten_rig"]
-
 
 class Straightened(NamedTuple):
     """A camera whose image is not turned, and its frame."""

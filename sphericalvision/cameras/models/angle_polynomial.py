@@ -29,8 +29,6 @@ from sphericalvision.geometry.rootfinding import (
     with_leading_one,
 )
 
-__all__ = ["AnglePolynomialCamera", "project_angle_polynomial", "unproject_angle_polynomial"]
-
 MAX_RADIUS = 8.0
 """In focal lengths; a tangent ends here at 83°, twice the tangent of the half angle at 152°."""
 

@@ -22,8 +22,6 @@ from sphericalvision.geometry.directions import (
     unit_directions,
 )
 
-__all__ = ["AtanCamera", "project_atan", "unproject_atan"]
-
 
 def _slope_of_plane(omega: Tensor) -> Tensor:
     """2 tan(ω / 2), by which tan θ is stretched before the arc tangent."""

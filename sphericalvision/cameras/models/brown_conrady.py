@@ -31,8 +31,6 @@ from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.directions import components, unit_directions
 
-__all__ = ["BrownConradyCamera", "project_brown_conrady", "unproject_brown_conrady"]
-
 NUMBERS_OF_COEFFICIENTS = (4, 5, 8, 12, 14)
 NAMES = "k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 τx τy"
 """In OpenCV's order."""

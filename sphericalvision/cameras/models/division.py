@@ -19,8 +19,6 @@ from sphericalvision.cameras.registry import register_camera
 from sphericalvision.geometry.directions import components, unit_directions
 from sphericalvision.geometry.rootfinding import increasing_limit, polynomial, with_leading_one
 
-__all__ = ["DivisionCamera", "project_division", "unproject_division"]
-
 
 def _direct_polynomial(distortion: Tensor) -> Tensor:
     """Of an OCam lens of focal length 1, −(1 + λ1 ρ² + λ2 ρ⁴ + ...): the two models are one but for odd powers."""

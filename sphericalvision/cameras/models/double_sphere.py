@@ -15,8 +15,6 @@ from sphericalvision.cameras.models.image_plane import PlaneCamera, pixels_from_
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.geometry.directions import components, safe_sqrt, unit_directions
 
-__all__ = ["DoubleSphereCamera", "project_double_sphere", "unproject_double_sphere"]
-
 
 def _widest_cosine(xi: Tensor, alpha: Tensor) -> Tensor:
     """Minus the cosine of the angle at which the model ends, w2 of eq. 43."""

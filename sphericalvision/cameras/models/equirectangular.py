@@ -31,8 +31,6 @@ from sphericalvision.geometry.panorama import (
     longitude_within,
 )
 
-__all__ = ["EquirectangularCamera", "project_equirectangular", "unproject_equirectangular"]
-
 
 @model_function
 def project_equirectangular(

@@ -15,8 +15,6 @@ from sphericalvision.cameras.models.image_plane import PlaneCamera, pixels_from_
 from sphericalvision.cameras.registry import register_camera
 from sphericalvision.geometry.directions import components, safe_sqrt, unit_directions
 
-__all__ = ["ExtendedUnifiedCamera", "project_extended_unified", "unproject_extended_unified"]
-
 
 def _widest_cosine(alpha: Tensor) -> Tensor:
     """The smallest z / d: −α / (1 − α) where the denominator vanishes, −(1 − α) / α where the radius turns."""

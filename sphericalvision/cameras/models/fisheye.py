@@ -29,14 +29,6 @@ from sphericalvision.geometry.directions import (
     safe_sqrt,
 )
 
-__all__ = [
-    "FISHEYE_PROJECTIONS",
-    "FisheyeCamera",
-    "FisheyeProjection",
-    "project_fisheye",
-    "unproject_fisheye",
-]
-
 FisheyeProjection = Literal["equidistant", "equisolid", "stereographic", "orthographic"]
 FISHEYE_PROJECTIONS: tuple[str, ...] = get_args(FisheyeProjection)
 

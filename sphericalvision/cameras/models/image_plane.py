@@ -11,8 +11,6 @@ from sphericalvision.cameras.base import Camera, Projection, Unprojection
 from sphericalvision.cameras.declaration import Intrinsic
 from sphericalvision.geometry.directions import components, from_components
 
-__all__ = ["PlaneCamera", "pixels_from_plane", "plane_from_pixels"]
-
 
 class PlaneCamera(Camera):
     """A model that ends in ``pixels_from_plane``; some have a skew."""

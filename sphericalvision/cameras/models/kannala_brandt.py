@@ -38,17 +38,6 @@ from sphericalvision.geometry.rootfinding import (
     with_leading_one,
 )
 
-__all__ = [
-    "Inverse",
-    "KannalaBrandtCamera",
-    "project_kannala_brandt",
-    "radial_solution",
-    "squared_radius",
-    "tabulated",
-    "unproject_kannala_brandt",
-    "widest_angle",
-]
-
 
 def _radius_slope(coefficients: Tensor, squared: Tensor) -> Tensor:
     """Derivative of θ g(θ²) with respect to θ, from θ²."""

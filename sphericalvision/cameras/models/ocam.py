@@ -34,8 +34,6 @@ from sphericalvision.geometry.rootfinding import (
     tabulate_inverse,
 )
 
-__all__ = ["OCamCamera", "project_ocam", "unproject_ocam"]
-
 
 def _undo_affine(pixels: Tensor, principal_point: Tensor, affine: Tensor) -> tuple[Tensor, Tensor]:
     """The ideal image's offsets col' and row' from its centre, each (*)."""

@@ -18,8 +18,6 @@ from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.rootfinding import polynomial
 
-__all__ = ["InverseFit", "fit_direct", "fit_inverse", "fit_inverse_polynomial"]
-
 _HIGHEST_DEGREE = 17  # beyond it float64 has no digits left for the powers
 
 

@@ -19,8 +19,6 @@ from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError, check_type
 from sphericalvision.geometry.directions import components, unit_directions
 
-__all__ = ["PinholeCamera", "project_pinhole", "unproject_pinhole"]
-
 
 @model_function
 def project_pinhole(

@@ -27,19 +27,6 @@ from torch import Tensor, addcmul
 
 from sphericalvision.geometry.rootfinding import increasing_limit, tabulate_inverse
 
-__all__ = [
-    "Distorted",
-    "Jacobian",
-    "Undistorted",
-    "distort",
-    "distort_inside",
-    "fold_radius",
-    "invert_plane_map",
-    "jacobian",
-    "radius_limit",
-    "undistort",
-]
-
 LARGEST_RADIUS = 1e4  # tan(89.994°): its eighth power still fits into float32
 _SAMPLES = 256  # at equal angles, 0.35° apart
 _STEP = math.atan(LARGEST_RADIUS) / (_SAMPLES - 1)

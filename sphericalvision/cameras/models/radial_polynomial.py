@@ -32,8 +32,6 @@ from sphericalvision.geometry.rootfinding import (
     tabulate_inverse,
 )
 
-__all__ = ["RadialPolynomialCamera", "project_radial_polynomial", "unproject_radial_polynomial"]
-
 _SAMPLES = 256
 
 

@@ -41,8 +41,6 @@ from sphericalvision.geometry.directions import (
 )
 from sphericalvision.geometry.rootfinding import polynomial, with_leading_one
 
-__all__ = ["ThinPrismFisheyeCamera", "project_thin_prism_fisheye", "unproject_thin_prism_fisheye"]
-
 Composition = Literal["sequential", "additive"]
 COMPOSITIONS: tuple[str, ...] = get_args(Composition)
 

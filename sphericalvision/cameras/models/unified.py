@@ -17,8 +17,6 @@ from sphericalvision.cameras.registry import register_camera
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.directions import components, safe_sqrt, unit_directions
 
-__all__ = ["UnifiedCamera", "project_unified", "unproject_unified"]
-
 
 def _widest_cosine(xi: Tensor) -> Tensor:
     """Cosine of the angle at which the model ends: −ξ where the denominator vanishes, −1/ξ where the radius turns."""

@@ -19,8 +19,6 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.geometry.image_lookup import ImageLookup, image_lookup
 
-__all__ = ["CellGroup", "PyramidLookup", "cell_groups", "footprint", "lookup_at_level", "pixel_samples"]
-
 # A side, of a footprint as wide as high, before it is looked up in a smaller image instead. In images of noise the
 # error of 4 is up to four times as large, and calls take as long: with fewer samples more images have to be made small.
 _SAMPLES = 8

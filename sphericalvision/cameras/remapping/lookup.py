@@ -13,13 +13,6 @@ from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.geometry.directions import broadcast_shapes
 from sphericalvision.kernels import full_precision
 
-__all__ = [
-    "image_edges",
-    "nearest_pixel",
-    "pixels_a_radian",
-    "source_pixels",
-]
-
 
 @full_precision
 def source_pixels(

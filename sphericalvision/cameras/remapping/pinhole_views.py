@@ -18,8 +18,6 @@ from sphericalvision.core import ArgumentError, ShapeError, check_tensor
 from sphericalvision.geometry.directions import holds
 from sphericalvision.kernels import full_precision
 
-__all__ = ["checked_angles", "perspective_views", "rotation_from_yaw_pitch_roll"]
-
 
 @full_precision
 def rotation_from_yaw_pitch_roll(angles: Float[Tensor, "*views 3"]) -> Float[Tensor, "*views 3 3"]:

@@ -24,8 +24,6 @@ from sphericalvision.core import ArgumentError, check_choice, check_last_dim, ch
 from sphericalvision.geometry import normalize
 from sphericalvision.kernels import full_precision
 
-__all__ = ["PAIR_KINDS", "RectifiedPair", "rectified_pairs"]
-
 PAIR_KINDS = ("cassini", "pinhole", "equirectangular")
 _WIDEST = math.tan(math.radians(60))  # of a pinhole image, whose pixels grow without end towards 90°
 _COARSE = 128  # rows of the image in which the common field of view is looked for

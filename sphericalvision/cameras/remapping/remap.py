@@ -23,8 +23,6 @@ from sphericalvision.geometry.image_lookup import ImageLookup, image_lookup
 from sphericalvision.geometry.lookup import Lookup
 from sphericalvision.geometry.masked_lookup import LookupModule, MaskedLookup
 
-__all__ = ["REMAP_MODES", "Remap", "remap", "remap_mask", "remap_tables"]
-
 REMAP_MODES = ("bilinear", "area", "bicubic", "nearest", "depth")
 
 

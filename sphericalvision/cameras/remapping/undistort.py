@@ -18,8 +18,6 @@ from sphericalvision.cameras.remapping.remap import remap
 from sphericalvision.core import ArgumentError, check_type
 from sphericalvision.geometry.directions import broadcast_shapes, holds
 
-__all__ = ["undistort", "undistorted_camera"]
-
 _WIDEST = math.radians(80)  # from the axis, of what a perspective picture is asked to show
 
 

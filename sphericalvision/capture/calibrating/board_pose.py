@@ -9,8 +9,6 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError
 
-__all__ = ["pose_from_directions"]
-
 
 def pose_from_directions(
     points: Float[Tensor, "m 3"], directions: Float[Tensor, "m 3"]

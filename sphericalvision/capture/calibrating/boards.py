@@ -29,8 +29,6 @@ from sphericalvision.cameras.calibration.keys import check_understood
 from sphericalvision.cameras.calibration.text_files import load_keys
 from sphericalvision.core import ArgumentError, FileFormatError, check_choice, check_file, short_repr
 
-__all__ = ["AprilGrid", "Board", "Charuco", "Checkerboard", "Corners", "read_board"]
-
 Array = npt.NDArray[Any]
 DICTIONARIES = tuple(sorted({key[5:].upper() for key in vars(cv2.aruco) if re.match(r"DICT_(\dX|AR)", key)}))
 """Families of markers, without ``DICT_``."""

@@ -28,8 +28,6 @@ from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.geometry import angle_from_axis, invert_transform, transform_points
 from sphericalvision.shapes import check_shapes
 
-__all__ = ["calibrate_camera", "calibrate_rig"]
-
 _WRONG = 4.5
 """Times the median distance from the pixel at which a corner is none: one of 700,000 with noise alone."""
 _REACH = 1.05

@@ -30,8 +30,6 @@ from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import icosphere_vertices
 from sphericalvision.shapes import check_shapes
 
-__all__ = ["DirectAlignment", "align_rig_direct"]
-
 _BAND = 4.0
 """How much wider the mean is that is taken away, and the contrast that is divided by, than the blur."""
 _CONTRAST = 0.02

@@ -27,8 +27,6 @@ from sphericalvision.geometry import invert_transform, transform_points
 from sphericalvision.geometry.least_squares import solve_least_squares
 from sphericalvision.shapes import check_shapes
 
-__all__ = ["FEWEST", "RefinedCamera", "RefinedRig", "refinable_intrinsics", "refine", "refine_rig"]
-
 FEWEST = 6
 """Seen points of the object at which a view counts."""
 

@@ -11,8 +11,6 @@ from torch import Tensor
 
 from sphericalvision.cameras.rig import CameraRig
 
-__all__ = ["about_most", "rightness", "rotations", "turned"]
-
 _NONE = math.radians(0.05)
 """Turns below are no turns when it comes to which cameras are right."""
 _ROUNDS = 10

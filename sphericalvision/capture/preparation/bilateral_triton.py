@@ -12,8 +12,6 @@ import triton.language as tl
 from jaxtyping import Float
 from torch import Tensor
 
-__all__ = ["bilateral_kernel"]
-
 BLOCK = 256
 """Pixels of a program."""
 

@@ -17,8 +17,6 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.rig import CameraRig
 
-__all__ = ["dark_beyond", "without_dark_surround"]
-
 SAMPLES = 400
 """Rows or columns of the image that are looked at, about."""
 STEP = math.radians(1)

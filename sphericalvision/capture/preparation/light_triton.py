@@ -13,8 +13,6 @@ import triton.language as tl
 from jaxtyping import Float
 from torch import Tensor
 
-__all__ = ["LARGEST_SYSTEM", "elimination_kernel", "nanmedian_kernel"]
-
 BLOCK = 8192
 """Values that a program looks at together."""
 LARGEST_SYSTEM = 127

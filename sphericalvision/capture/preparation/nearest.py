@@ -18,15 +18,6 @@ from sphericalvision.sphere.intake import Intake
 from sphericalvision.sweep.hypotheses import check_hypotheses
 from sphericalvision.sweep.nearest_depth import nearest_depth
 
-__all__ = [
-    "SCENE_LEVEL",
-    "NearestHypothesis",
-    "check_places",
-    "nearest_hypothesis",
-    "nearest_in_frames",
-    "scaled_min_depth",
-]
-
 SCENE_LEVEL = 6
 """Icosphere level of the images that the nearest depth of a scene is looked for in."""
 FAR_OFF = 4.0

@@ -25,8 +25,6 @@ from sphericalvision.cameras.base import check_single
 from sphericalvision.cameras.rig import CameraRig, check_images_of
 from sphericalvision.core import ArgumentError
 
-__all__ = ["OwnBody", "find_own_body"]
-
 Floats = npt.NDArray[np.float32]
 Bools = npt.NDArray[np.bool_]
 

@@ -30,17 +30,6 @@ from sphericalvision.geometry.image_lookup import image_lookup
 from sphericalvision.icosphere import icosphere_vertices
 from sphericalvision.kernels import Operator
 
-__all__ = [
-    "LightEstimate",
-    "Photometer",
-    "PhotometricCalibration",
-    "averaged",
-    "calibrate_photometry",
-    "median_of_known",
-    "pixel_angles",
-    "reduced_rig",
-]
-
 Made = TypeVar("Made")
 
 _POINTS, _PARTS = 2000, 12

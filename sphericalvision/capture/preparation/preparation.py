@@ -29,20 +29,6 @@ from sphericalvision.capture.preparation.photometry import (
 from sphericalvision.core import ArgumentError
 from sphericalvision.kernels import Operator, may_hold
 
-__all__ = [
-    "AS_IT_IS",
-    "Compensation",
-    "Compensator",
-    "Correction",
-    "Preparation",
-    "bilateral",
-    "compensated",
-    "denoised",
-    "differs",
-    "needed",
-    "noise_of",
-]
-
 LEAST_LIGHT = 0.05
 """Share of the light: cameras that differ by less are taken to be alike."""
 SURE = 2.0
@@ -390,28 +376,6 @@ _bilateral = Operator(_bilateral_by_shifts, triton=_bilateral_in_triton)
 _filtered = Operator(bilateral, cpu=_filtered_by_opencv)
 
 
-def noise_of(image: Float[Tensor, "c h w"], usable: Bool[Tensor, "h w"] | None = None) -> float:
-    """Return the standard deviation of an image's noise, as far as one can tell it from texture.
-
-    It is what second differences leave that answer neither to straight edges nor to shading; the median, as texture is
-    not everywhere.
-
-    Args:
-        image: in [0, 1].
-        usable: as of ``denoised``.
-
-    References:
-        Immerkær (1996), "Fast noise variance estimation".
-
-    Examples:
-        >>> shade = torch.linspace(0.3, 0.7, 64).expand(3, 64, 64)
-        >>> noisy = shade + 0.03 * torch.randn(3, 64, 64, generator=torch.Generator().manual_seed(0))
-        >>> round(noise_of(shade), 3), round(noise_of(noisy), 2)
-        (0.0, 0.03)
-    """
-    return float(_noise(image.detach()[None], None if usable is None else _inside(usable)))
-
-
 def _inside(usable: Tensor, shrink: int = 1) -> Tensor:
     """Pixels of which the whole window is usable: True where the filter sees nothing else."""
     side = (
@@ -423,7 +387,14 @@ def _inside(usable: Tensor, shrink: int = 1) -> Tensor:
 
 
 def _noise(image: Tensor, inside: Tensor | None) -> Tensor:
-    """Of some rows of each frame ``(b, c, h, w)``: of a second difference down of a second difference across."""
+    """Standard deviation of the noise of each frame ``(b, c, h, w)``, as far as one can tell it from texture.
+
+    It is what second differences leave that answer neither to straight edges nor to shading; the median, as texture is
+    not everywhere. Of large images some rows count.
+
+    References:
+        Immerkær (1996), "Fast noise variance estimation".
+    """
     height, width = image.shape[-2:]
     if min(height, width) < 3:
         return image.new_zeros(len(image), dtype=torch.float64)

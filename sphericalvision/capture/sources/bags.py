@@ -30,8 +30,6 @@ from sphericalvision.core import (
 from sphericalvision.io.images import decode_image
 from sphericalvision.io.times import SAME_TIME
 
-__all__ = ["Bag", "bag_of"]
-
 SUFFIXES = (".bag", ".mcap", ".db3")
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CHANNELS = {

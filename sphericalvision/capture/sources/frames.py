@@ -15,8 +15,6 @@ from sphericalvision.capture.sources.joined_views import split_views
 from sphericalvision.capture.sources.moments import Moments
 from sphericalvision.core import ArgumentError, FileFormatError
 
-__all__ = ["Frame", "Recording", "Selection", "Source", "spread_evenly"]
-
 
 class Frame(NamedTuple):
     """One frame: its name, and its images by camera name, or why they cannot be read.

@@ -15,8 +15,6 @@ from sphericalvision.capture.sources.joined_views import size_of_view
 from sphericalvision.core import FileFormatError
 from sphericalvision.io.images import read_image, read_image_size
 
-__all__ = ["IMAGE_SUFFIXES", "ImageFiles"]
-
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".insp", ".tif", ".tiff", ".bmp", ".webp")
 
 

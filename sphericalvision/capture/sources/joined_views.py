@@ -12,8 +12,6 @@ import torch
 from sphericalvision.cameras import CameraRig, FisheyeCamera
 from sphericalvision.core import ArgumentError
 
-__all__ = ["rig_of_views", "size_of_view", "split_views", "views_layout"]
-
 
 def split_views(image: Any, rig: CameraRig) -> dict[str, Any]:
     """Cut a picture ``(h, w, ...)``, an array or a tensor, with the views of all cameras in rows and

@@ -14,8 +14,6 @@ from sphericalvision.capture.sources.frames import Frame, Selection
 from sphericalvision.capture.sources.joined_views import size_of_view, split_views
 from sphericalvision.core import FileFormatError
 
-__all__ = ["LiveCameras"]
-
 
 class LiveCameras:
     """Frames of live cameras: what they see at the time when it is asked for, without an end.

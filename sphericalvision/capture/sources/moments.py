@@ -9,8 +9,6 @@ from typing import Any, NamedTuple
 from sphericalvision.core import MissingFileError
 from sphericalvision.io.times import SAME_TIME, in_order, nearest_in_time
 
-__all__ = ["Clock", "Moments", "pair_moments"]
-
 MAX_UNTIMED = 0.1
 """Fraction of a camera's images without a time of their own, above which a clock tells nothing. A driver that loses a
 stamp now and then loses that image; one that never sets it, or sets the same one, must not lose all others."""

@@ -10,8 +10,6 @@ from sphericalvision.cameras import CameraRig, Trajectory
 from sphericalvision.capture.sources.frames import Frame, Selection, Source
 from sphericalvision.core import ArgumentError
 
-__all__ = ["NAME", "Moving"]
-
 NAME = "camera"
 """Of the one camera, where a source of its images asks for one."""
 STILL = 1e-6

@@ -21,8 +21,6 @@ from sphericalvision.core import ArgumentError, FileFormatError, MissingFileErro
 from sphericalvision.io.images import read_mask
 from sphericalvision.io.times import SAME_TIME
 
-__all__ = ["open_source", "rig_for_images", "rig_with_masks"]
-
 LAYOUTS = (
     "{camera}/{frame}",
     "cam{camera}/{frame}",

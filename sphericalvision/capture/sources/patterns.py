@@ -12,8 +12,6 @@ from sphericalvision.capture.sources.moments import Clock, Moments, pair_moments
 from sphericalvision.core import ArgumentError, MissingFileError
 from sphericalvision.io.times import SAME_TIME, are_counts, in_order, seconds
 
-__all__ = ["files_of", "find_files", "find_labels", "labels_by_number"]
-
 EXAMPLE = "'capture/cam{camera}/{frame:05d}.png'"
 
 

@@ -22,8 +22,6 @@ from sphericalvision.capture.sources.moments import Clock, pair_moments
 from sphericalvision.core import ArgumentError, FileFormatError, first_line
 from sphericalvision.io.times import SAME_TIME
 
-__all__ = ["VIDEO_SUFFIXES", "VideoStream", "Videos", "read_streams"]
-
 VIDEO_SUFFIXES = (
     *(".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv"),
     *(

@@ -14,8 +14,6 @@ import triton.language as tl
 from jaxtyping import Float
 from torch import Tensor
 
-__all__ = ["RepeatBorder", "SumBorder"]
-
 BLOCK = 1024
 """Values of the result that a program writes."""
 

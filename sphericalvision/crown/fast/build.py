@@ -31,8 +31,6 @@ import torch
 
 from sphericalvision.core import MissingCompilerError
 
-__all__ = ["operators_ready"]
-
 SOURCES = [Path(__file__).with_name(name) for name in ("hex_convolution.cpp", "normalization.cpp")]
 HEADERS = [Path(__file__).with_name(name) for name in ("lanes.h", "volumes.h", "winograd_lines.h")]
 

@@ -29,15 +29,6 @@ from sphericalvision.crown.places import place_ids
 from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, convolve, planar_kernels, repeat_border
 from sphericalvision.tables import constant_table
 
-__all__ = [
-    "Scaling",
-    "convolution",
-    "convolution_gradients",
-    "hex_convolution",
-    "plain_convolution",
-    "vertices_at_places",
-]
-
 Scaling = tuple[Tensor | None, Tensor | None]
 
 _TAPS = [list(sum(taps, ())) for taps in (COL_TAPS, ROW_TAPS)]

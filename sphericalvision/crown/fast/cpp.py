@@ -22,18 +22,6 @@ from sphericalvision.icosphere import level_from_num_vertices
 from sphericalvision.kernels import is_traced, kernel_mode
 from sphericalvision.tables import constant_table
 
-__all__ = [
-    "convolve_rectangles",
-    "convolve_vertices",
-    "hexagons2d",
-    "hexagons3d",
-    "mode_in_use",
-    "normalize",
-    "normalize_and_convolve",
-    "operators_in_use",
-    "recomputation_pays",
-]
-
 
 def operators_in_use() -> bool:
     """Whether the mode of ``kernels`` asks for operators in C++, and they are compiled."""

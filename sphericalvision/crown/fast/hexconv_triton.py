@@ -8,8 +8,6 @@ import triton.language as tl
 from jaxtyping import Float, Int
 from torch import Tensor
 
-__all__ = ["hex_conv_kernel"]
-
 VERTICES, OUTPUTS, INPUTS = 32, 32, 32
 """Of a program: its vertices and output channels at most, and the input channels that it multiplies together."""
 

@@ -21,16 +21,6 @@ from sphericalvision.icosphere.topology import coarse_vertex_ids
 from sphericalvision.kernels import is_traced
 from sphericalvision.tables import constant_table
 
-__all__ = [
-    "convolve_with_border_in_triton",
-    "convolve_with_joined_border",
-    "fold",
-    "hexagons2d",
-    "hexagons_in_triton",
-    "normalize",
-    "unfold",
-]
-
 LARGE = 1 << 20
 """Values from which memory, and not the launch, is what the continuation of a border takes."""
 

@@ -23,8 +23,6 @@ from torch import Tensor
 from sphericalvision.crown.fast.convolution import convolution, convolution_gradients, plain_convolution
 from sphericalvision.crown.fast.registering import Operator
 
-__all__ = ["crown_normalization"]
-
 CHUNK = 128
 """Places whose moments the operator takes at once; ``normalization.cpp`` has the same number."""
 

@@ -21,8 +21,6 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-__all__ = ["Operator"]
-
 _library = torch.library.Library("sphericalvision", "FRAGMENT")
 
 

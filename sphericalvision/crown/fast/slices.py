@@ -24,8 +24,6 @@ from sphericalvision.crown.fast.cpp import operators_in_use
 from sphericalvision.crown.places import own_charts
 from sphericalvision.icosphere import level_from_num_vertices
 
-__all__ = ["fold", "hexagons2d", "hexagons3d", "unfold"]
-
 
 class _Unfold(torch.autograd.Function):
     """Copy each vertex of ``(B, C, [N,] V)`` to all its places, col and row; the adjoint is ``_Fold``."""

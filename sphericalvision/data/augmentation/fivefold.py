@@ -17,8 +17,6 @@ from sphericalvision.data.augmentation.sphere_rotation import yaw_angle, yaw_rot
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.icosphere.topology import level_from_num_vertices
 
-__all__ = ["Mirror", "RotateFivefold", "moved_on_icosphere", "rotate_fivefold"]
-
 ON_ICOSPHERE = ("images", "seen", "inverse_depth", "valid", "clues")
 ON_PANORAMA = ("panorama_inverse_depth", "panorama_valid")
 

@@ -14,8 +14,6 @@ from torch.nn.functional import pad
 from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere.intake import signed, unsigned
 
-__all__ = ["PhotometricAugmentation"]
-
 Sample = dict[str, Any]
 
 SEEN = {"images": "seen", "fisheye": "fisheye_seen"}

@@ -15,8 +15,6 @@ from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere.intake import pixels_seen
 
-__all__ = ["RotateFisheye"]
-
 Sample = dict[str, Any]
 
 

@@ -14,8 +14,6 @@ from sphericalvision.icosphere import icosphere_upsample, level_from_num_vertice
 from sphericalvision.sweep import DepthHint
 from sphericalvision.sweep.ring_mean import ring_mean
 
-__all__ = ["simulated_hint"]
-
 NONSENSE, SPARSE, SINGLE, HOLED = 0.25, 0.3, 0.3, 0.5
 """Shares of the hints: of another scene; of single points; of one camera alone; with holes."""
 SCALE, SHIFT = 0.06, 0.03

@@ -21,15 +21,6 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere import Cubemap, Equirectangular, Healpix, SphereGrid
 
-__all__ = [
-    "num_yaw_steps",
-    "random_rotations",
-    "rotate_on_sphere",
-    "source_directions",
-    "yaw_on_sphere",
-    "yaw_rotation",
-]
-
 CONTENTS = ("image", "depth", "normals", "labels", "seen")
 
 #: Of the weights of an interpolated value, the sum that must be of cells that were seen.

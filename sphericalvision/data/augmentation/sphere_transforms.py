@@ -30,8 +30,6 @@ from sphericalvision.data.augmentation.sphere_rotation import (
 )
 from sphericalvision.sphere import SphereGrid
 
-__all__ = ["RandomSphereRotation", "RandomYaw"]
-
 USUAL_KINDS = {
     "image": "image",
     "images": "image",

@@ -19,8 +19,6 @@ from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sphere.intake import Intake
 
-__all__ = ["Compose", "RandomShift", "ToSphere"]
-
 Sample = dict[str, Any]
 
 FARTHEST = 3.0

@@ -24,8 +24,6 @@ from sphericalvision.data.omnistereo.releases import (
 from sphericalvision.io.images import read_image
 from sphericalvision.sphere.intake import pixels_seen
 
-__all__ = ["OmniStereoDataset"]
-
 Sample = dict[str, Any]
 
 

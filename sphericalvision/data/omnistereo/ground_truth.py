@@ -22,16 +22,6 @@ from sphericalvision.core import ArgumentError, FileFormatError, ShapeError
 from sphericalvision.io.images import read_pages, write_pages
 from sphericalvision.shapes import check_shapes
 
-__all__ = [
-    "PNG_SCALE",
-    "GroundTruth",
-    "check_panorama_size",
-    "inverse_depth_from_png",
-    "png_from_inverse_depth",
-    "read_ground_truth",
-    "write_ground_truth",
-]
-
 PNG_SCALE = 65500
 """PNG value of the inverse of the minimum depth."""
 

@@ -19,18 +19,6 @@ from sphericalvision.core import (
 )
 from sphericalvision.io.files import list_folder
 
-__all__ = [
-    "DESCRIBED_AT",
-    "PROTOCOLS",
-    "RELEASES",
-    "Release",
-    "check_scale",
-    "find_release",
-    "index_frames",
-    "read_min_depth",
-    "split_frames",
-]
-
 DESCRIBED_AT = "the docstring of sphericalvision.data.OmniStereoDataset and http://cvlab.hanyang.ac.kr/project/omnistereo"
 
 Frames = tuple[range, ...]

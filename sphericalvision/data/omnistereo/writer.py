@@ -38,8 +38,6 @@ from sphericalvision.io.files import write_bytes
 from sphericalvision.io.images import write_image
 from sphericalvision.io.yaml_files import read_yaml, write_yaml
 
-__all__ = ["ocam_from_camera", "write_omnistereo"]
-
 _MOST_COEFFICIENTS = 18
 _SAME_PIXEL = 0.1  # pixels; fits of one lens made by different machines differ by less
 

@@ -27,8 +27,6 @@ from sphericalvision.io.files import by_numbers
 from sphericalvision.io.images import read_image, read_image_size
 from sphericalvision.sphere import Equirectangular
 
-__all__ = ["Deep360Dataset"]
-
 FOLDERS = {"train": "training", "val": "validation", "test": "testing"}
 FARTHEST = 1000.0
 """Metres: what is as far away, the sky, is unknown."""

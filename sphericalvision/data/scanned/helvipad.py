@@ -24,8 +24,6 @@ from sphericalvision.io.files import by_numbers
 from sphericalvision.io.images import read_image_size
 from sphericalvision.sphere import Equirectangular
 
-__all__ = ["BASELINE", "HELVIPAD_LATITUDES", "PUBLISHED", "HelvipadDataset", "disparity_from_depth"]
-
 BASELINE = 0.191
 """Metres from the bottom camera up to the top one."""
 HELVIPAD_LATITUDES = (-math.pi * 7 / 30, math.pi * 3 / 10)

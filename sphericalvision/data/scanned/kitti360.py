@@ -25,8 +25,6 @@ from sphericalvision.data.scanned.scanned_frames import Sample, ScannedFrames
 from sphericalvision.geometry import invert_transform, transform_from_axis_angle, transform_points
 from sphericalvision.geometry.transforms import axis_angle_from_transform
 
-__all__ = ["Kitti360Dataset", "at_one_time"]
-
 FISHEYES = ("image_02", "image_03")
 
 

@@ -21,8 +21,6 @@ from sphericalvision.io.files import by_numbers
 from sphericalvision.io.images import read_mask
 from sphericalvision.sphere import Equirectangular
 
-__all__ = ["OmniPusDataset"]
-
 TEST_CASES = {"a": (1, 8, 9, 10, 14), "b": (6, 8, 9, 11), "c": (1, 4)}
 CASES = {"a": 15, "b": 13, "c": 5}
 TRUTH_SIZE = (160, 640)

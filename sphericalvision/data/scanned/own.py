@@ -18,8 +18,6 @@ from sphericalvision.data.scanned.scanned_frames import Sample, ScannedFrames
 from sphericalvision.geometry import transform_points
 from sphericalvision.io.times import SAME_TIME, are_counts, nearest_in_time, seconds
 
-__all__ = ["OwnScans"]
-
 
 class OwnScans(ScannedFrames):
     """Frames of image files, and a file of points for each.

@@ -21,8 +21,6 @@ from sphericalvision.io.images import read_image, read_pages
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sphere.intake import pixels_seen
 
-__all__ = ["ScannedFrames", "read_raster"]
-
 NOISE = 0.02
 """Metres: standard deviation of a LiDAR's distances, as those of these sets are specified."""
 

@@ -18,8 +18,6 @@ from sphericalvision.geometry import transform_points
 from sphericalvision.io.files import by_numbers
 from sphericalvision.io.times import SAME_TIME, nearest_in_time, seconds
 
-__all__ = ["OURS_FROM_LIDAR", "SpiresDataset"]
-
 OURS_FROM_LIDAR = torch.tensor(
     [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )

@@ -24,8 +24,6 @@ from sphericalvision.core import FileFormatError, MissingFileError, check_choice
 from sphericalvision.data.scanned.scanned_frames import Sample, ScannedFrames, read_raster
 from sphericalvision.io.images import read_image_size
 
-__all__ = ["WideDepthDataset"]
-
 FIELDS_OF_VIEW = (120, 140, 165, 195)
 BASELINES = (20, 65, 120, 200, 300)
 PLACES = {"center": (0.0, 0.0), "right": (1.0, 0.0), "down": (0.0, 1.0)}

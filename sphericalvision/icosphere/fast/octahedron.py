@@ -11,8 +11,6 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-__all__ = ["cell_centers", "cell_numbers"]
-
 
 def cell_numbers(rays: Float[Tensor, "3 m"], resolution: int) -> Int[Tensor, " m"]:
     """Numbers ``(m,)``, int32, of the cells of rays ``(3, m)`` of any length, below ``2 * resolution**2``.

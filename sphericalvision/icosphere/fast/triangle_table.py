@@ -23,8 +23,6 @@ from sphericalvision.icosphere.mesh import icosphere_vertices
 from sphericalvision.icosphere.topology import icosphere_faces
 from sphericalvision.tables import constant_table
 
-__all__ = ["TriangleTable", "coefficients", "find_in_few_steps", "find_triangles", "triangle_table"]
-
 #: Cells along an edge of the octahedron: six for each triangle up to so many, at finer levels one and a half: a cell is
 #: always smaller than a triangle.
 CELLS, MANY_CELLS, FEWEST = 8, 512, 4

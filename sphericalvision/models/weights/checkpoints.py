@@ -14,8 +14,6 @@ from sphericalvision.models.weights.filling import make_network
 from sphericalvision.models.weights.pretrained import STUDY, available_weights, pretrained
 from sphericalvision.models.weights.registry import network_class
 
-__all__ = ["read_network"]
-
 REFERENCE_SUFFIXES = (".pth", ".pt", ".tar")
 """Of checkpoints in the authors' format."""
 WRAPPERS = ("_orig_mod.", "module.")

@@ -21,8 +21,6 @@ from sphericalvision.models.depth_network import DepthNetwork
 from sphericalvision.models.weights.filling import make_network
 from sphericalvision.models.weights.registry import network_class, network_name
 
-__all__ = ["identity_of", "load_weights", "save_weights"]
-
 PREFIX = "sphericalvision-"
 """What the names of networks begin with in files."""
 

@@ -11,8 +11,6 @@ from torch import Tensor, nn
 
 from sphericalvision.core import FileFormatError
 
-__all__ = ["load_state", "make_network"]
-
 Network = TypeVar("Network", bound=nn.Module)
 
 BOUNDS = {"level": 10, "num_hypotheses": 1024, "num_cameras": 64, "output_size": 8192, "blocks": 32}

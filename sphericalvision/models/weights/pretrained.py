@@ -9,8 +9,6 @@ from sphericalvision.core import MissingFileError, check_choice
 from sphericalvision.models.depth_network import DepthNetwork
 from sphericalvision.models.weights.files import load_weights
 
-__all__ = ["DEFAULT", "STUDY", "available_weights", "pretrained"]
-
 _HERE = Path(__file__).parent
 _SHIPPED = _HERE / "shipped"
 

@@ -14,8 +14,6 @@ from sphericalvision.core import FileFormatError, check_file, first_line
 from sphericalvision.models.icosweepnet import IcoSweepNet
 from sphericalvision.models.weights.filling import load_state
 
-__all__ = ["load_reference_checkpoint", "state_dict_from_reference"]
-
 # Module names of the authors' release and ours; index tables (w1_index, w2_index) are not weights.
 _REFERENCE_PREFIXES = {
     "feature_extraction.conv1": "features.entry",

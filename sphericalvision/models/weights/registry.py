@@ -7,8 +7,6 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.extensions import Registry
 from sphericalvision.models.depth_network import DepthNetwork
 
-__all__ = ["ENTRY_POINTS", "network_class", "network_name", "network_names", "register_network"]
-
 ENTRY_POINTS = "sphericalvision.networks"
 """Group of entry points by which installed packages offer their networks, name = "module:class"."""
 

@@ -16,8 +16,6 @@ from sphericalvision.core import FileFormatError, check_file, first_line
 from sphericalvision.models.romnistereo import PYRAMID, RADIUS, RomniStereo
 from sphericalvision.models.weights.filling import load_state
 
-__all__ = ["is_romnistereo", "load_romnistereo_checkpoint"]
-
 BUILT_IN = {
     "encoder_downsample_twice": False,
     "num_downsample": 1,

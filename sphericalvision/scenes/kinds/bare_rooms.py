@@ -10,8 +10,6 @@ from sphericalvision.scenes.kinds.palette import DAYLIGHT, Palette
 from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.scene import Color, Scene
 
-__all__ = ["random_bare_room"]
-
 
 @register_scene("bare")
 def random_bare_room(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:

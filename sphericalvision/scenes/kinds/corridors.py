@@ -14,8 +14,6 @@ from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import Part
 from sphericalvision.scenes.rendering.scene import Lamp, Scene
 
-__all__ = ["random_corridor"]
-
 
 @register_scene("corridor")
 def random_corridor(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:

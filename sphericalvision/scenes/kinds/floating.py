@@ -13,8 +13,6 @@ from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import SHAPES, Part, pack
 from sphericalvision.scenes.rendering.scene import Lamp, Scene
 
-__all__ = ["random_floating_objects"]
-
 
 @register_scene("floating")
 def random_floating_objects(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:

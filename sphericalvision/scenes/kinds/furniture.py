@@ -15,8 +15,6 @@ from sphericalvision.scenes.kinds.labels import labelled
 from sphericalvision.scenes.kinds.palette import Palette
 from sphericalvision.scenes.rendering.primitives import Part
 
-__all__ = ["AGAINST_WALLS", "FREE_STANDING", "Maker", "footprint_radius", "make_piece", "place"]
-
 Maker = Callable[[Palette], list[Part]]
 
 

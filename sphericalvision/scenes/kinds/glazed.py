@@ -15,8 +15,6 @@ from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import Part
 from sphericalvision.scenes.rendering.scene import Scene
 
-__all__ = ["add_panes", "random_glazed_room"]
-
 OUTSIDE = 80.0
 """Metres to the sides that the ground outside has."""
 

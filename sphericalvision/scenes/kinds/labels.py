@@ -7,8 +7,6 @@ from dataclasses import replace
 
 from sphericalvision.scenes.rendering.primitives import Part
 
-__all__ = ["SURFACE_LABELS", "labelled"]
-
 SURFACE_LABELS = (
     "other",
     "floor",

@@ -17,8 +17,6 @@ from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import Part
 from sphericalvision.scenes.rendering.scene import Scene
 
-__all__ = ["random_lit_place"]
-
 
 @register_scene("lit", other_sky=True)
 def random_lit_place(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:

@@ -18,8 +18,6 @@ from sphericalvision.scenes.rendering.primitives import Part, pack
 from sphericalvision.scenes.rendering.scene import Color, Lamp, Material, Scene
 from sphericalvision.scenes.rendering.textures import PHOTOGRAPHS
 
-__all__ = ["random_outdoor_place"]
-
 #: Metres from the rig to where the ground ends, beyond what any hypothesis tells from infinity.
 HORIZON = 500.0
 

@@ -14,8 +14,6 @@ from sphericalvision.scenes.rendering.primitives import Part, pack
 from sphericalvision.scenes.rendering.scene import Color, Lamp, Material, Scene, pack_lamps, pack_materials
 from sphericalvision.scenes.rendering.textures import ALL_PATTERNS, PATTERNS, PHOTOGRAPHS, VARIANTS
 
-__all__ = ["DAYLIGHT", "Palette", "level"]
-
 Item = TypeVar("Item")
 
 DAYLIGHT = torch.tensor([[0.45, 0.6, 0.9], [0.35, 0.33, 0.3]])

@@ -14,8 +14,6 @@ from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import Part
 from sphericalvision.scenes.rendering.scene import Lamp, Scene
 
-__all__ = ["LAMPLESS", "any_picture", "lamps_near", "random_patchwork"]
-
 OPEN = 0.4
 """Share of places without walls and ceiling."""
 LAMPLESS = 0.5

@@ -14,8 +14,6 @@ from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import Part
 from sphericalvision.scenes.rendering.scene import Color, Scene
 
-__all__ = ["random_plain"]
-
 SHADED = 0.45
 """Share of places with lamps. In the others a surface of one colour looks alike from edge to edge."""
 ROOFLESS = 0.2

@@ -14,8 +14,6 @@ from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import Part
 from sphericalvision.scenes.rendering.scene import Material, Scene
 
-__all__ = ["random_polished_room"]
-
 
 @register_scene("polished")
 def random_polished_room(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:

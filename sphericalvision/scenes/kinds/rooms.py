@@ -21,23 +21,6 @@ from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import Part, pack
 from sphericalvision.scenes.rendering.scene import Lamp, Scene
 
-__all__ = [
-    "Opening",
-    "Room",
-    "add_door",
-    "add_frame",
-    "add_shell",
-    "add_window",
-    "build_shell",
-    "decorate",
-    "fill",
-    "furnish",
-    "hang_lamps",
-    "random_opening",
-    "random_room",
-    "wall_piece",
-]
-
 #: (from, to, upper, lower) along and down a wall, metres.
 Opening = tuple[float, float, float, float]
 

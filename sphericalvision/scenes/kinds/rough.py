@@ -13,8 +13,6 @@ from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import Part, pack
 from sphericalvision.scenes.rendering.scene import Scene
 
-__all__ = ["random_rough_place"]
-
 OPEN = 0.4
 """Share of slopes below the sky; the others are caves."""
 STEEPEST = math.radians(40)

@@ -24,8 +24,6 @@ from sphericalvision.scenes.registry import register_scene
 from sphericalvision.scenes.rendering.primitives import Part
 from sphericalvision.scenes.rendering.scene import Scene
 
-__all__ = ["random_ruins"]
-
 MASONRY = ("spectrum", "bricks", "tiles", "stripes", "cells", "wood", "checks")
 GROUND = 200.0
 """Metres to the sides that the ground has."""

@@ -19,8 +19,6 @@ from sphericalvision.scenes.rendering.ray_packets import RayPackets, packed
 from sphericalvision.scenes.rendering.raycast import first_hits, trace
 from sphericalvision.scenes.rendering.scene import Scene
 
-__all__ = ["CLUTTER", "HERE", "Point", "beam", "clutter", "in_weather", "off", "random_terrain", "weathered"]
-
 Point = tuple[float, float, float]
 
 HERE: Point = (0.0, 0.0, 0.0)

@@ -11,8 +11,6 @@ from typing import Any
 
 from sphericalvision.core import FileFormatError
 
-__all__ = ["check_gltf"]
-
 MOST_EMPTY = 2**20
 """Points of accessors without a buffer, which are zeros."""
 DRACO = "KHR_draco_mesh_compression"

@@ -19,8 +19,6 @@ from sphericalvision.core import FileFormatError, MissingFileError
 from sphericalvision.io.ply_header import PlyHeader, read_ply_header
 from sphericalvision.scenes.rendering.gltf import check_gltf
 
-__all__ = ["load_mesh"]
-
 SPECULAR = "KHR_materials_pbrSpecularGlossiness"
 
 

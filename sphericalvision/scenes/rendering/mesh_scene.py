@@ -20,8 +20,6 @@ from sphericalvision.scenes.rendering.scene import sky_light
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["MeshScene", "read_mesh_scene"]
-
 Array = npt.NDArray[Any]
 
 #: Rows are x, y, z of the world (y down) in the axes of files whose up is y (glTF) or z (many scans).

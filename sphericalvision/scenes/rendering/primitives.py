@@ -14,8 +14,6 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_choice
 
-__all__ = ["SHAPES", "Part", "Primitives", "map_columns", "pack"]
-
 #: Unit shapes, in their local frame: the square [-1, 1]² at z = 0, the cube [-1, 1]³, the unit ball, and the
 #: cylinder x² + z² <= 1, |y| <= 1. Every primitive is one of them, stretched by ``half``, turned and moved.
 SHAPES = ("rectangle", "box", "ellipsoid", "cylinder")

@@ -17,16 +17,6 @@ from torch import Tensor
 
 from sphericalvision.scenes.rendering.primitives import Primitives
 
-__all__ = [
-    "FAR",
-    "NEAREST",
-    "RAYS",
-    "CandidatePairs",
-    "RayPackets",
-    "candidate_pairs",
-    "packed",
-]
-
 #: Rays in a packet: a square of 16 x 16 pixels.
 RAYS = 256
 #: Relative and absolute widening of boxes (in half sizes of a primitive), and of origins' distances, for rounding.

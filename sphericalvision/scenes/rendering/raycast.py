@@ -27,20 +27,6 @@ from sphericalvision.scenes.rendering.ray_packets import (
     packed,
 )
 
-__all__ = [
-    "HUGE",
-    "INTERSECTIONS",
-    "Hit",
-    "blocked",
-    "chunk_size",
-    "first_hits",
-    "intersect_box",
-    "intersect_cylinder",
-    "intersect_rectangle",
-    "intersect_round",
-    "trace",
-]
-
 #: Packets looked at together, and pairs intersected together, on the CPU: few enough for a core's cache, many enough
 #: for the time that an operation takes to start. Other devices take many more at once.
 CHUNK, PAIRS = 384, 128

@@ -24,8 +24,6 @@ from sphericalvision.scenes.rendering.raycast import chunk_size, trace
 from sphericalvision.scenes.rendering.scene import Scene
 from sphericalvision.scenes.rendering.shading import SurfaceTable, radiance
 
-__all__ = ["ray_depth", "ray_labels", "render_camera", "render_directions", "render_rig"]
-
 
 @full_precision
 @torch.no_grad()

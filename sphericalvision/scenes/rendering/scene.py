@@ -13,8 +13,6 @@ from torch import Tensor
 
 from sphericalvision.scenes.rendering.primitives import Primitives, map_columns
 
-__all__ = ["Lamp", "Lamps", "Material", "Materials", "Scene", "pack_lamps", "pack_materials", "sky_light"]
-
 Color = tuple[float, float, float]
 
 

@@ -16,8 +16,6 @@ from sphericalvision.scenes.rendering.raycast import blocked, first_hits
 from sphericalvision.scenes.rendering.scene import Scene, sky_light
 from sphericalvision.scenes.rendering.textures import TextureBank, texture_bank
 
-__all__ = ["SurfaceSamples", "SurfaceTable", "irradiance", "normals_and_uv", "radiance"]
-
 #: Shadow rays end this far before the surface that they test, and reflections start so far from it (metres).
 SHADOW_GAP = 2e-3
 #: Rays in a packet of points that are sorted by primitive; divides RAYS.

@@ -19,8 +19,6 @@ from torch.nn.functional import avg_pool2d, interpolate
 
 from sphericalvision.core import check_choice, check_file
 
-__all__ = ["ALL_PATTERNS", "PATTERNS", "PHOTOGRAPHS", "TextureBank", "pattern", "photograph", "texture_bank"]
-
 #: Photographs that scikit-image ships inside its wheel (no download).
 PHOTOGRAPHS = (
     "astronaut.png", "brick.png", "camera.png", "chelsea.png", "clock_motion.png", "coffee.png",

@@ -11,8 +11,6 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere.grids.cube_padding import Padding, cube_pad, four_sides
 
-__all__ = ["CubePad2d", "EquirectangularPad2d", "cube_pad", "equirectangular_pad"]
-
 
 @check_shapes
 def equirectangular_pad(

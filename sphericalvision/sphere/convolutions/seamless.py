@@ -13,8 +13,6 @@ from sphericalvision.core import ArgumentError, check_type
 from sphericalvision.sphere.convolutions.padding import EquirectangularPad2d
 from sphericalvision.sphere.convolutions.sphere_conv import SphereConv2d
 
-__all__ = ["PaddedConv2d", "make_seamless"]
-
 # Layers that look across the border in ways that padding before them does not mend.
 UNSUPPORTED = (nn.ConvTranspose2d, nn.Fold, nn.Unfold, nn.FractionalMaxPool2d)
 

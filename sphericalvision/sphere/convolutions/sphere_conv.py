@@ -16,8 +16,6 @@ from sphericalvision.kernels import Operator
 from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere.fast.door import conv_in_rows, read_pixels
 
-__all__ = ["SphereConv2d", "sphere_conv2d", "sphere_taps"]
-
 
 @check_shapes
 def sphere_conv2d(

@@ -16,8 +16,6 @@ from sphericalvision.geometry.lookup import weighted_sums
 from sphericalvision.kernels import Operator
 from sphericalvision.sphere.fast.row_sums import RowSums, adjoint, conv_of_row_sums, row_sums
 
-__all__ = ["conv_in_rows", "read_pixels"]
-
 Pair = tuple[int, int]
 
 

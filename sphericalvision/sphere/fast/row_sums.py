@@ -16,8 +16,6 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-__all__ = ["RowSums", "adjoint", "conv_of_row_sums", "row_sums"]
-
 CACHE_BYTES = 3 << 20
 """About what is made of the rows that are convolved together."""
 

@@ -12,8 +12,6 @@ from torch import Tensor
 from sphericalvision.core import ArgumentError, ShapeError, check_choice
 from sphericalvision.shapes import check_shapes
 
-__all__ = ["CUBE_FACES", "CUBE_LAYOUTS", "cube_from_layout", "cube_to_layout", "world_from_cube_face"]
-
 CUBE_FACES = ("front", "right", "back", "left", "up", "down")
 """Names of the faces of a cube map in their order."""
 

@@ -10,8 +10,6 @@ from torch import Tensor
 from sphericalvision.core import ArgumentError, ShapeError, check_tensor
 from sphericalvision.sphere.grids.cube_layouts import world_from_cube_face
 
-__all__ = ["Padding", "cube_border_ids", "cube_pad", "faces_continued", "four_sides"]
-
 Padding = int | tuple[int, int, int, int]
 
 

@@ -21,8 +21,6 @@ from sphericalvision.sphere.grids.cube_padding import faces_continued
 from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels, tile_samples
 from sphericalvision.sphere.grids.sphere_grid import GridModule, check_cells, check_values
 
-__all__ = ["Cubemap"]
-
 
 class Cubemap(GridModule):
     """Six faces of ``size`` x ``size`` pixels, each a perspective image of 90° seen from the centre.

@@ -28,8 +28,6 @@ from sphericalvision.geometry.panorama import (
 )
 from sphericalvision.sphere.grids.sphere_grid import GridModule, check_cells, check_values
 
-__all__ = ["Equirectangular"]
-
 
 class Equirectangular(GridModule):
     """A panorama of ``height`` rows and ``width`` columns as a grid of directions.

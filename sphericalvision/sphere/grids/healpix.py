@@ -33,8 +33,6 @@ from sphericalvision.sphere.grids.healpix_pixels import (
 )
 from sphericalvision.sphere.grids.sphere_grid import GridModule, check_cells
 
-__all__ = ["Healpix"]
-
 
 class Healpix(GridModule):
     """``12 * nside**2`` pixels of one area, numbered ring by ring or nested.

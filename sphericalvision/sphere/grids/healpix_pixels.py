@@ -20,23 +20,6 @@ from torch import Tensor
 from sphericalvision.core import ArgumentError, check_tensor
 from sphericalvision.geometry.directions import holds
 
-__all__ = [
-    "NEIGHBOR_STEPS",
-    "direction_of_place",
-    "neighbor_places",
-    "nested_from_place",
-    "nested_from_ring",
-    "place_from_nested",
-    "place_from_ring",
-    "place_of_direction",
-    "ring_from_nested",
-    "ring_from_place",
-    "ring_of_pixel",
-    "ring_start_count_shift",
-    "ring_theta",
-]
-
-
 NEIGHBOR_STEPS = ((-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1))
 """Steps in (x, y) from a pixel to those around it: in the south-west, west, north-west, ..., and south."""
 

@@ -12,8 +12,6 @@ from torch import Tensor
 from sphericalvision.core import ArgumentError, ShapeError, check_choice
 from sphericalvision.sphere.grids.healpix_pixels import nested_from_ring, ring_from_nested
 
-__all__ = ["healpix_pool", "healpix_upsample"]
-
 POOL_MODES = ("mean", "max")
 
 

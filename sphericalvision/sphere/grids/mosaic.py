@@ -15,8 +15,6 @@ from torch.nn import functional as F
 
 from sphericalvision.geometry.directions import from_components
 
-__all__ = ["mosaic", "mosaic_pixels", "tile_samples"]
-
 
 def mosaic(tiles: Shaped[Tensor, "*batch n s s"]) -> Shaped[Tensor, "*batch _ _"]:
     """One image ``(*, rows * s, columns * s)`` of tiles ``(*, n, s, s)``, row by row; zeros where none is left.

@@ -13,8 +13,6 @@ from torch import Tensor, nn
 from sphericalvision.core import ArgumentError, ShapeError, check_floating, check_tensor, check_type
 from sphericalvision.geometry import bilinear_sample
 
-__all__ = ["MAX_CELLS", "GridModule", "SphereGrid", "check_cells", "check_values"]
-
 MAX_CELLS = 2**27
 """The largest grid: a panorama of 8192 x 16384 pixels, whose directions take 1.5 GB in float32."""
 

@@ -17,8 +17,6 @@ from sphericalvision.kernels import full_precision
 from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels, tile_samples
 from sphericalvision.sphere.grids.sphere_grid import GridModule, check_cells, check_values
 
-__all__ = ["TangentImages", "solid_angles_in_triangle"]
-
 
 class TangentImages(GridModule):
     """Gnomonic images that touch the sphere at the middle of each face of an icosphere.

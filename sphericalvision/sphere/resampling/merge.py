@@ -11,8 +11,6 @@ from sphericalvision.cameras import Camera, EquirectangularCamera
 from sphericalvision.geometry import angle_from_axis
 from sphericalvision.sphere.resampling.supersampling import pixel_solid_angles
 
-__all__ = ["cauchy_weights", "mean_and_squares", "pixel_weights", "robust_mean"]
-
 _FAINTEST = 1e-4  # weight at the border of a view, of that at its center
 _ROUNDS = 2  # of weighting by agreement: the first mean may still lie between two surfaces
 

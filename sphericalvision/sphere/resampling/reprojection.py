@@ -15,8 +15,6 @@ from sphericalvision.geometry.surfaces import distance_along
 from sphericalvision.sphere.grids.sphere_grid import SphereGrid
 from sphericalvision.sphere.resampling.supersampling import cell_samples, grid_shape
 
-__all__ = ["distances_from"]
-
 
 @torch.no_grad()
 def distances_from(

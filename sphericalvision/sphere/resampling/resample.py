@@ -12,10 +12,8 @@ from torch import Tensor, nn
 from sphericalvision.cameras import Camera
 from sphericalvision.geometry.masked_lookup import LookupModule
 from sphericalvision.sphere.grids.sphere_grid import SphereGrid, check_values
-from sphericalvision.sphere.resampling.resample_tables import RESAMPLE_MODES, resample_tables
+from sphericalvision.sphere.resampling.resample_tables import resample_tables
 from sphericalvision.sphere.resampling.supersampling import grid_shape
-
-__all__ = ["RESAMPLE_MODES", "Resample", "resample", "resample_mask"]
 
 
 def resample(

@@ -29,8 +29,6 @@ from sphericalvision.sphere.grids.equirectangular import Equirectangular
 from sphericalvision.sphere.grids.sphere_grid import SphereGrid
 from sphericalvision.sphere.resampling.supersampling import cell_samples, cell_widths, grid_shape
 
-__all__ = ["RESAMPLE_MODES", "make_lookup", "nearest_index", "resample_tables"]
-
 RESAMPLE_MODES = ("bilinear", "nearest", "area")
 """What ``resample`` knows."""
 

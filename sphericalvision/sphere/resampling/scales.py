@@ -22,8 +22,6 @@ from torch import Tensor
 
 from sphericalvision.sphere.resampling.merge import cauchy_weights, mean_and_squares
 
-__all__ = ["log_scales"]
-
 _ROUNDS = 10  # of weighting by agreement
 
 

@@ -17,8 +17,6 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere, icosphere_neighbors, icosphere_vertices
 from sphericalvision.sphere.grids.sphere_grid import SphereGrid
 
-__all__ = ["CellSamples", "cell_samples", "cell_widths", "grid_shape", "pixel_solid_angles"]
-
 
 class CellSamples(NamedTuple):
     """Directions spread over each cell of a grid, in the order of its flattened values."""

@@ -29,8 +29,6 @@ from sphericalvision.sphere.resampling.resample_tables import resample_tables
 from sphericalvision.sphere.resampling.scales import log_scales
 from sphericalvision.sphere.resampling.supersampling import cell_widths, grid_shape
 
-__all__ = ["Merged", "Views", "views"]
-
 QUANTITIES = ("values", "range", "z")
 _INFINITY = 1e3  # baselines, beyond which a pair measures no distance
 

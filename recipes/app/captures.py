@@ -57,15 +57,7 @@ PANORAMA = "equirectangular"
 class Capture(Calibration):
     """The frames of a capture and its calibration.
 
-    Attributes:
-        images: pattern of images or videos, or folder.
-        frames: names or numbers of frames of image files.
-        start: position of the first frame.
-        stop: position before which to stop.
-        every: 2 takes every second frame.
-        cameras: names of the cameras to use, in order; ``name:label`` says what ``{camera}`` stands for, or a topic.
-        masks: pattern of masks, white where usable; ``AUTO``: of the rig's own body, found in the frames.
-        tolerance: seconds between images of one moment, at most.
+    ``conf/predict.yaml`` explains its keys.
     """
 
     images: Text
@@ -150,17 +142,7 @@ class Capture(Calibration):
 
 @dataclasses.dataclass(eq=False, repr=False, kw_only=True)
 class CaptureFields:
-    """The keys of a capture that data modules have beside their own.
-
-    Args:
-        images: pattern of images or videos, or folder, as ``sphericalvision-predict`` takes it.
-        calibration: file, or folder; the one beside the images when not given.
-        cameras: names of the cameras to use, in order.
-        masks: pattern of masks, white where usable; ``AUTO`` finds the body that carries the rig in the frames.
-        translation_unit: of ``poses.txt``.
-        max_angle_deg: half the field of view, where the calibration does not say it.
-        image_size: height and width, where neither the calibration nor image files say it.
-    """
+    """The keys of a capture that data modules have beside their own."""
 
     images: Text
     calibration: Text | None = None
@@ -187,13 +169,7 @@ def size_of_images(pattern: str) -> tuple[int, int] | None:
 class PosedCapture(Capture):
     """A capture that may have poses: of one camera that moves, or of a rig.
 
-    Attributes:
-        poses: file of a trajectory.
-        window: images of each camera in a window.
-        spacing: metres that camera or rig goes between images of a window; None takes every image.
-        up: what points up in the world of the calibration, or of the poses; None is ``"-y"``, with ``frame`` ``"z"``;
-            ``FLOOR``: a rig that leans is leveled by the floor in the depth of some frames.
-        frame: file with a robot's frame from the calibration's, whose axes are ROS's: x forward, y left, z up.
+    ``conf/predict.yaml`` explains its keys.
     """
 
     poses: Text | None = None

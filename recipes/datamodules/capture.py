@@ -87,19 +87,6 @@ class CaptureDataModule(CaptureFields, PreparedSamples):
     the disturbed ones, too, so that what is left of the disturbances is learned.
 
     The capture has the keys of ``CaptureFields``.
-
-    Args:
-        world: what rendered scenes show, and faults of theirs and of the frames, as ``conf/world/rehearsal.yaml``.
-        frames: names or numbers of frames of image files.
-        start: position of the first frame.
-        stop: position before which to stop.
-        every: 2 takes every second frame.
-        num_frames: frames that are used, spread evenly.
-        held_out_every: every fifth frame is kept to judge by.
-        min_depth: nearest hypothesis in metres; ``"auto"`` and ``"scene"`` as of ``Predictor``.
-        trained_radius: rig radius that the network was trained with, metres.
-        rendered: share of training samples that are rendered scenes.
-        rendered_seed: of the first rendered scene.
     """
 
     world: dict[str, Any]

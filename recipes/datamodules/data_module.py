@@ -151,12 +151,7 @@ def even_batches(number: int, batch_size: int, world: int) -> list[list[int]]:
 class SampleDataModule(pl.LightningDataModule):
     """Loaders over data sets that subclasses make; ``dataset(split)`` is all they need to say.
 
-    Fields of data modules are the keys of their files in ``conf/data``.
-
-    Args:
-        batch_size: samples in a batch.
-        num_workers: processes that prepare samples; 0 uses the main process.
-        seed: of order and augmentation in training.
+    Fields of data modules are the keys of their files in ``conf/data``, which explain them.
     """
 
     batch_size: Count = 4
@@ -284,9 +279,6 @@ class PreparedSamples(SampleDataModule):
     """Samples of which each has a rig of its own, and whose images are made ready.
 
     Batches of training hold samples of as many cameras each; what is validated or tested comes one by one.
-
-    Args:
-        photometric: as of ``Preparation``.
     """
 
     batch_size: Count = 1

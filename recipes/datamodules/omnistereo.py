@@ -23,24 +23,7 @@ from sphericalvision.recipes.datamodules.depth_data_module import DepthDataModul
 class OmniStereoDataModule(DepthDataModule):
     """OmniThings and its kin from disk, split and augmented as in the paper.
 
-    Args:
-        root: folder of the set that is trained on.
-        dataset: "omnithings", "omnihouse", "sunny", "cloudy" or "sunset".
-        protocol: whose splits, "paper" or "official".
-        release: "png" or "tiff"; detected when not given.
-        missing: "error", or "skip" for a partial copy.
-        augment: in training, vary colours and shift images.
-        shift: standard deviation of the random shift, pixels; 0 for none.
-        val_split: split that validates.
-        test_split: split that tests.
-        train_split: split that trains.
-        batch_size: samples in a batch.
-        num_workers: processes that read samples.
-        seed: of order and augmentation in training.
-        entries: what samples hold: some of "sphere" (for networks on the icosphere), "fisheye" and "panorama" (for
-            networks on panoramas), with the keys of ``SampleView``.
-        on_error: "stop" at a frame whose files cannot be read, or "skip" it: training takes the next one in its place,
-            validation and test go without, and what was left out is said at the end.
+    ``conf/data/omnistereo.yaml`` explains its keys.
     """
 
     of_training = ("seed", "augment", "shift")

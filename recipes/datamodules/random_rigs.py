@@ -86,16 +86,7 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
     A batch of training has rigs of as many cameras each. In training, the world is turned by random multiples of 72
     degrees, and half of the samples on icospheres are mirrored.
 
-    Args:
-        world: what comes how often, and faults, as ``conf/world/random_rigs.yaml``.
-        image_size: height and width of the cameras.
-        num_cameras: of random rigs; level rings have four.
-        levels: of icospheres that training samples are on, for a network that is to serve several, each with seeds of
-            its own: the network's level and ``num_train`` samples when not given. Validation and tests are at the
-            network's own level.
-        clues: weights of a prior. What sweep and prior say of the samples of ``levels`` is computed once, and kept in
-            ``cache_dir``, for a training in which the prior does not learn.
-        cache_gb: largest size of the training samples that are kept.
+    ``conf/data/random_rigs.yaml`` explains its keys.
 
     References:
         WMGStereo (2025), "What makes good synthetic training data for zero-shot stereo matching?", for diversity

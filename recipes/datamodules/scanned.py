@@ -37,13 +37,7 @@ Sequences = Annotated[list[str], Len(1)] | None
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class ScannedDataModule(DepthDataModule):
-    """Frames with the points of a scanner; a set's own class says what a split is.
-
-    Args:
-        entries: what samples hold, some of "sphere", "fisheye" and "panorama"; what the network wants if null.
-        truth_height: rows of the panorama of truth; the network's where it is on panoramas.
-        augment: in training, vary colours.
-    """
+    """Frames with the points of a scanner; a set's own class says what a split is."""
 
     entries: Entries = None
     truth_height: Count = 160
@@ -88,12 +82,7 @@ class ScannedDataModule(DepthDataModule):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class HelvipadDataModule(ScannedDataModule):
-    """Helvipad by its splits.
-
-    Args:
-        root: folder of the set, with train, val and test.
-        augmented: learn from the augmented maps of depth.
-    """
+    """Helvipad by its splits."""
 
     root: Text
     augmented: bool = False
@@ -107,11 +96,7 @@ class HelvipadDataModule(ScannedDataModule):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Deep360DataModule(ScannedDataModule):
-    """Deep360 by its splits.
-
-    Args:
-        root: folder of the set, with ep1_500frames and so on.
-    """
+    """Deep360 by its splits."""
 
     root: Text
 
@@ -122,13 +107,7 @@ class Deep360DataModule(ScannedDataModule):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class _SequencesDataModule(ScannedDataModule):
-    """A set that has no splits of its own.
-
-    Args:
-        train: sequences that train.
-        val: sequences that validate.
-        test: sequences that sphericalvision-evaluate takes.
-    """
+    """A set that has no splits of its own."""
 
     root: Text
     train: Sequences = None
@@ -147,13 +126,7 @@ class _SequencesDataModule(ScannedDataModule):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Kitti360DataModule(_SequencesDataModule):
-    """Windows over time of KITTI-360.
-
-    Args:
-        root: folder with calibration, data_2d_raw, data_3d_raw and data_poses.
-        window: poses of a window.
-        spacing: metres between them.
-    """
+    """Windows over time of KITTI-360."""
 
     window: Annotated[int, Ge(2)] = 3
     spacing: Positive = 1.0
@@ -165,12 +138,7 @@ class Kitti360DataModule(_SequencesDataModule):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class SpiresDataModule(_SequencesDataModule):
-    """Oxford Spires.
-
-    Args:
-        root: folder with sensor.yaml and sequences.
-        tolerance: seconds between images and scan, at most.
-    """
+    """Oxford Spires."""
 
     tolerance: Positive = 0.02
 
@@ -181,15 +149,7 @@ class SpiresDataModule(_SequencesDataModule):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class WideDepthDataModule(_SequencesDataModule):
-    """WideDepth, all scenes of which are for the test where none are named.
-
-    Args:
-        root: folder of the set.
-        field_of_view_deg: degrees from the left to the right edge.
-        baseline_mm: millimetres between the cameras.
-        stereo: which cameras.
-        calibration: file of the lens.
-    """
+    """WideDepth, all scenes of which are for the test where none are named."""
 
     field_of_view_deg: Literal[120, 140, 165, 195] = 195
     baseline_mm: Literal[20, 65, 120, 200, 300] = 65
@@ -205,12 +165,7 @@ class WideDepthDataModule(_SequencesDataModule):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class OmniPusDataModule(ScannedDataModule):
-    """OmniPus; its test cases validate, too, as it has no others.
-
-    Args:
-        root: folder with calibration and omnipusa, omnipusb, omnipusc.
-        max_latitude_deg: of the upper edge of the truth, degrees.
-    """
+    """OmniPus; its test cases validate, too, as it has no others."""
 
     root: Text
     max_latitude_deg: Annotated[float, Gt(0), Le(90)] = 45.0
@@ -226,14 +181,6 @@ class OwnScansDataModule(CaptureFields, ScannedDataModule):
     """A capture of one's own with a scan for each frame: all frames for the test, a share at the end for validation.
 
     The capture has the keys of ``CaptureFields``.
-
-    Args:
-        points: folder of a scan for each frame.
-        lidar_pose: file with rig from scanner, 12 or 16 numbers or a line of TUM's; the rig's frame when not given.
-        tolerance: seconds between images of one frame, and between them and their scan, at most, where names are times.
-        point_columns: numbers of a point in ``.bin`` files, which do not tell them.
-        val_share: share of the frames, the last ones, that validate and are not learned from.
-        frames_named: names or numbers of frames.
     """
 
     points: Text

@@ -41,19 +41,7 @@ class Augmented(Dataset[Sample]):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class RenderedDataModule(DepthDataModule):
-    """Samples that are rendered: those of training, validation and test come from disjoint ranges of seeds.
-
-    Args:
-        num_train: number of training samples.
-        num_val: number of validation samples.
-        num_test: number of test samples.
-        train_seed: seed of the first training sample.
-        val_seed: seed of the first validation sample.
-        test_seed: seed of the first test sample.
-        samples_per_pixel: rays per image pixel.
-        augment: in training, change samples by ``augmentation``.
-        cache_dir: folder where rendered samples are kept; rendered again each time when not given.
-    """
+    """Samples that are rendered: those of training, validation and test come from disjoint ranges of seeds."""
 
     num_train: Count = 1000
     num_val: Count = 32
@@ -139,18 +127,7 @@ class RenderedDataModule(DepthDataModule):
 class SceneDataModule(RenderedDataModule):
     """Scenes of one kind or several, seen through one rig.
 
-    Args:
-        rig: what the scenes are seen through.
-        entries: what samples hold: some of "sphere", "depth", "fisheye", "panorama"; what the network wants if null.
-        panorama_size: height and width of the depth panorama; for augmentation the width is a multiple of 5.
-        kind: of ``make_scene``, or several that take turns.
-        antialias: average images over the area between vertices before they are looked up.
-        mesh: file of a textured mesh, several, or a folder: scenes are free places in it, in place of a kind.
-        mesh_up: axis that points up in it, "y" (glTF) or "z".
-        mesh_scale: metres in one unit of it.
-        carrier: what carries the rig and is in view: "pole", "robot" or "vehicle"; nothing when not given.
-        tilts_deg: least and largest degrees by which the cameras look further down, drawn for each scene; see
-            ``World``. The rig as it is when not given.
+    ``conf/data/scenes.yaml`` explains its keys.
     """
 
     rig: CameraRig

@@ -124,11 +124,7 @@ TEST_SEED = 1
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class DigitsDataModule(OrientedDataModule):
-    """scikit-learn's digits on the grid of a network; train, validation and test digits are different ones.
-
-    Args:
-        field_of_view_deg: angle in degrees that a digit covers.
-    """
+    """scikit-learn's digits on the grid of a network; train, validation and test digits are different ones."""
 
     field_of_view_deg: FullAngle = 120.0
 

@@ -35,15 +35,10 @@ DRAWN = (0, 3, 4)
 
 @dataclass(frozen=True, config=STRICT)
 class Size:
-    """How frames are made.
+    """How frames are made; ``conf/benchmark.yaml`` explains its keys.
 
-    Attributes:
-        level: icosphere on which truth is dense.
-        panorama_rows: of the panorama of true depth.
-        image_rows: of fisheye images.
-        samples_per_pixel: rays.
-        preparation: of images and rig, for all methods alike, as ``sphericalvision-predict`` does; cameras are turned
-            by the depth of the network that ships.
+    By its preparation images and rig are made ready for all methods alike, as ``sphericalvision-predict`` does; cameras
+    are turned by the depth of the network that ships.
     """
 
     level: Annotated[int, Ge(3)] = 6

@@ -92,12 +92,7 @@ FIRST_SEEDS = {"train": 0, "val": 1_000_000, "test": 2_000_000}
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class LabelledRoomsDataModule(OrientedDataModule):
-    """Rooms on the grid of a network; training, validation and test rooms are different ones.
-
-    Args:
-        num_train: training rooms.
-        cache_dir: folder where rooms are kept; rendered each time when not given.
-    """
+    """Rooms on the grid of a network; training, validation and test rooms are different ones."""
 
     num_train: Count = 400
     cache_dir: Text | None = None

@@ -91,15 +91,7 @@ class OrientationModule(TrainingModule):
 
 @dataclass(eq=False, repr=False)
 class OrientedDataModule(SampleDataModule):
-    """Samples on the grid of a network, trained in one orientation, validated and tested in each.
-
-    Args:
-        network: whose grid the samples are on, see ``network_grid``.
-        level: of the icosphere, or of the equirectangular image with about as many pixels.
-        orientation: in training.
-        num_val: samples of validation, in each orientation.
-        num_test: samples of the test, in each orientation.
-    """
+    """Samples on the grid of a network, trained in one orientation, validated and tested in each."""
 
     network: str = "hex"
     level: int = 4

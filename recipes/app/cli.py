@@ -112,19 +112,24 @@ def check_settings(
     """
     # As text: to YAML 1e-5 is a word, to Python a number; and YAML has no tuples.
     old, new = (
-        {key: str(list(value) if isinstance(value, tuple) else value) for key, value in values.items()}
+        {
+            key: str(list(value) if isinstance(value, tuple) else value)
+            for key, value in values.items()
+            if value is not None and key not in free
+        }
         for values in (earlier, settings)
     )
-    changes = [
-        f"{key} was {old.get(key)}, is {new.get(key)}"
-        for key in {**old, **new}
-        if key not in free and old.get(key, "None") != new.get(key, "None")
-    ]
-    if earlier and changes:
+    if earlier and (differing := changes(old, new)):
         raise ArgumentError(
-            f"output: {folder} holds results of other settings ({', '.join(changes)}); set them as before, choose "
+            f"output: {folder} holds results of other settings ({', '.join(differing)}); set them as before, choose "
             "another output=..., or remove that folder"
         )
+
+
+def changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
+    """Each key whose value differs, with both values."""
+    keys = [key for key in {**old, **new} if old.get(key) != new.get(key)]
+    return [f"{key} was {old.get(key)}, is {new.get(key)}" for key in keys]
 
 
 def say(text: str, style: str | None = None) -> None:

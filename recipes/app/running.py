@@ -89,8 +89,7 @@ def run_command(command: Any, words: list[str]) -> None:
 
 def sweep(loader: ConfigLoader, command: Any, overrides: list[str], work: Callable[..., Any]) -> None:
     """Run a command once for each value; exits with status 1 where runs have failed, after all have run."""
-    words = [*overrides, "hydra.mode=MULTIRUN"]
-    config = loader.load_configuration(command.name, words, RunMode.MULTIRUN)
+    config = loader.load_configuration(command.name, [*overrides, "hydra.mode=MULTIRUN"], RunMode.MULTIRUN)
     callbacks = Callbacks(config)
     context = HydraContext(loader, callbacks)  # type: ignore[arg-type]
     configure_log(config.hydra.hydra_logging, config.hydra.verbose)
@@ -123,8 +122,8 @@ class Callbacks:
 def checked_config(loader: ConfigLoader, command: Any, overrides: list[str], multirun: bool) -> DictConfig:
     """The configuration of a command line, of a multi-run's first run; exits where it does not fit."""
     try:
-        words = first_values(overrides) if multirun else overrides
-        config = loader.load_configuration(command.name, words, RunMode.RUN)
+        single = first_values(overrides) if multirun else overrides
+        config = loader.load_configuration(command.name, single, RunMode.RUN)
     except (HydraException, OmegaConfBaseException, ValueError) as error:
         refuse(override_message(error, command.name, overrides))
     if wrong := several_processes(config) if multirun else None:
@@ -136,7 +135,7 @@ def checked_config(loader: ConfigLoader, command: Any, overrides: list[str], mul
     import_torch()  # not before: a misspelt key does not wait for it
     from sphericalvision.recipes.app.checks import check_keys
 
-    check_keys(command.keys, config, words)
+    check_keys(command.keys, config, single)
     return config
 
 

@@ -110,21 +110,14 @@ def unquote_paths(words: list[str]) -> list[str]:
 
 def resume_command(last: Path, max_steps: int | None = None) -> str:
     """Return the command line that resumes this run in its folder, up to ``max_steps`` if given."""
-    replaced = ("resume=", "output=", *(["trainer.max_steps="] if max_steps else []))
-    overrides = [word for word in HydraConfig.get().overrides.task if not word.startswith(replaced)]
-    longer = [f"trainer.max_steps={max_steps}"] if max_steps else []
-    single = (
-        ["hydra.mode=RUN"] if HydraConfig.get().mode == RunMode.MULTIRUN else []
-    )  # a file of hparams sweeps
-    words = [
-        *own_configs(),
-        *unquote_paths(overrides),
-        *single,
-        *longer,
-        f"output={last.parent.parent}",
-        f"resume={last}",
-    ]
-    return shlex.join(["sphericalvision-train", *words])
+    keys: dict[str, Any] = {"output": last.parent.parent, "resume": last}
+    if max_steps:
+        keys = {"trainer.max_steps": max_steps, **keys}
+    if HydraConfig.get().mode == RunMode.MULTIRUN:  # as a file of hparams sets it
+        keys = {"hydra.mode": "RUN", **keys}
+    overrides = [word for word in HydraConfig.get().overrides.task if word.partition("=")[0] not in keys]
+    overrides = [*unquote_paths(overrides), *(f"{key}={value}" for key, value in keys.items())]
+    return shlex.join(["sphericalvision-train", *own_configs(), *overrides])
 
 
 def _without_spaces(value: Any) -> str:
@@ -161,5 +154,5 @@ def evaluate_command(best: Path, config: DictConfig, of_training: Sequence[str])
         if group == "data" or "rig" in config.data
         if OmegaConf.is_missing(usual[group], key) or usual[group][key] != value
     ]
-    words = [*own_configs(), f"checkpoint={best.with_suffix('.safetensors')}", *groups, *changes]
-    return shlex.join(["sphericalvision-evaluate", *words])
+    weights = f"checkpoint={best.with_suffix('.safetensors')}"
+    return shlex.join(["sphericalvision-evaluate", *own_configs(), weights, *groups, *changes])

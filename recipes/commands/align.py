@@ -71,13 +71,13 @@ def _print(rig: CameraRig, result: RigTurns, frames: Sequence[Mapping[str, Tenso
     directions = icosphere_vertices(LEVEL).to(rig.world_from_camera)
     seen = rig.project_along(directions, directions.new_zeros(1)).valid[:, 0]
     rows = []
-    for place, (name, camera) in enumerate(rig.cameras.items()):
+    for index, (name, camera) in enumerate(rig.cameras.items()):
         turn, spread = (
-            math.degrees(float(values[place])) for values in (result.turns.norm(dim=-1), result.spread)
+            math.degrees(float(values[index])) for values in (result.turns.norm(dim=-1), result.spread)
         )
-        pixels = seen[place]
+        pixels = seen[index]
         shared = float((pixels & (seen.sum(0) > 1)).sum() / pixels.sum().clamp(min=1))
-        exposure = float(light.exposure[place].mean().exp())
+        exposure = float(light.exposure[index].mean().exp())
         resolution = math.radians(pixels_a_radian(camera))
         doubtful = result.reason and (turn + 2 * spread >= math.degrees(result.within) - 1e-6)
         what = "turn" if name in result.turned else "look" if doubtful else ""

@@ -247,12 +247,12 @@ def _read(moments: Iterable[Moment], names: list[str], board: Board) -> Pictures
                         f"images: {moment.labels[name]} has {image.shape[-1]} x {image.shape[-2]} pixels (width x "
                         f"height), expected {width} x {height}, the size of the first picture of {name}"
                     )
-                place, last[name] = names.index(name), image
-                pixels[-1][0, place], seen[-1][0, place] = board.find(image)
+                index, last[name] = names.index(name), image
+                pixels[-1][0, index], seen[-1][0, index] = board.find(image)
     corners, valid = torch.cat(pixels), torch.cat(seen)
-    for place, name in enumerate(names):
+    for index, name in enumerate(names):
         count = sum(name in moment for moment in labels)
-        boards = int((valid[:, place].sum(-1) >= FEWEST).sum())
+        boards = int((valid[:, index].sum(-1) >= FEWEST).sum())
         if boards < 3:
             raise ArgumentError(
                 f"images: the board is found on {boards} of {count} pictures of {name}, and three are needed, better "
@@ -268,20 +268,20 @@ def _report(result: RefinedRig, pictures: Pictures) -> None:
     errors = (squares.sum(-1) / used.sum(-1)).sqrt()  # nan where there is no board
     names = list(pictures.sizes)
     rows = [
-        [moment[name], f"{errors[number, place]:.3f}"]
+        [moment[name], f"{errors[number, index]:.3f}"]
         for number, moment in enumerate(pictures.labels)
-        for place, name in enumerate(names)
-        if bool(used[number, place].any())
+        for index, name in enumerate(names)
+        if bool(used[number, index].any())
     ]
     rows.sort(key=lambda row: -float(row[1]))
     count = sum(map(len, pictures.labels))
     print_table(
         f"boards on {len(rows)} of {count} pictures; the worst", ["picture", "RMS (px)"], rows[:MOST_PICTURES]
     )
-    for place, (name, camera) in enumerate(result.rig.cameras.items()):
-        rms = float((squares[:, place].sum() / used[:, place].sum()).sqrt())
+    for index, (name, camera) in enumerate(result.rig.cameras.items()):
+        rms = float((squares[:, index].sum() / used[:, index].sum()).sqrt())
         console.print(
-            f"{name}: {type(camera).__name__}, RMS {rms:.3f} px of {int(used[:, place].sum())} corners, sees "
+            f"{name}: {type(camera).__name__}, RMS {rms:.3f} px of {int(used[:, index].sum())} corners, sees "
             f"{2 * math.degrees(camera.max_angle):.1f}°"
         )
         for key in camera.intrinsic_names:
@@ -290,9 +290,9 @@ def _report(result: RefinedRig, pictures: Pictures) -> None:
         _print_image(
             name,
             result.rig,
-            place,
-            pictures.pixels[:, place][used[:, place]],
-            squares[:, place][used[:, place]],
+            index,
+            pictures.pixels[:, index][used[:, index]],
+            squares[:, index][used[:, index]],
         )
     if left_out := int((pictures.seen & ~used).sum()):
         console.print(
@@ -301,8 +301,8 @@ def _report(result: RefinedRig, pictures: Pictures) -> None:
     astray = [
         moment[name]
         for number, moment in enumerate(pictures.labels)
-        for place, name in enumerate(names)
-        if int(pictures.seen[number, place].sum()) >= FEWEST and not bool(used[number, place].any())
+        for index, name in enumerate(names)
+        if int(pictures.seen[number, index].sum()) >= FEWEST and not bool(used[number, index].any())
     ]
     if astray:
         some = ", ".join(astray[:MOST_PICTURES]) + (" ..." if len(astray) > MOST_PICTURES else "")
@@ -318,7 +318,7 @@ def _report(result: RefinedRig, pictures: Pictures) -> None:
         )
 
 
-def _print_image(name: str, rig: CameraRig, place: int, pixels: Tensor, squares: Tensor) -> None:
+def _print_image(name: str, rig: CameraRig, index: int, pixels: Tensor, squares: Tensor) -> None:
     """A table of RMS by ring about the axis and direction in the image, and a line about what has no corners."""
     camera = rig.cameras[name]
     rays = camera.unproject(pixels.to(camera.max_angle)).directions
@@ -344,15 +344,15 @@ def _poses(rig: CameraRig, used: Tensor) -> Iterator[str]:
     """A line for each camera but the first: where it is, and how often the board was seen by both."""
     boards = used.sum(-1) >= FEWEST
     axes = rig.world_from_camera[:, :3, 2].double()
-    for place, name in enumerate(rig.names[1:], start=1):
+    for index, name in enumerate(rig.names[1:], start=1):
         angle = math.degrees(
-            torch.atan2(torch.linalg.cross(axes[0], axes[place]).norm(), axes[0] @ axes[place])
+            torch.atan2(torch.linalg.cross(axes[0], axes[index]).norm(), axes[0] @ axes[index])
         )
-        distance = float((rig.positions[place] - rig.positions[0]).norm())
+        distance = float((rig.positions[index] - rig.positions[0]).norm())
         ties = [
-            f"{int((boards[:, place] & boards[:, other]).sum())} with {rig.names[other]}"
+            f"{int((boards[:, index] & boards[:, other]).sum())} with {rig.names[other]}"
             for other in range(len(rig))
-            if other != place and bool((boards[:, place] & boards[:, other]).any())
+            if other != index and bool((boards[:, index] & boards[:, other]).any())
         ]
         yield (
             f"{name}: axis {angle:.2f}° from {rig.names[0]}'s, {distance:.4f} m away; boards seen by both: "

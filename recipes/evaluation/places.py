@@ -136,4 +136,4 @@ def _errors_of_surest(index: Tensor, confidence: Tensor, truth: Tensor, mask: Te
         return {}
     error = (index - truth).abs() * (100 / SCALE.num_hypotheses)
     means = error_of_surest(error, confidence, KEPT, mask)
-    return {f"{share:g}": means[:, place] for place, share in enumerate(KEPT)}
+    return {f"{share:g}": means[:, column] for column, share in enumerate(KEPT)}

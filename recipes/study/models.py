@@ -6,40 +6,44 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Literal
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
+from pydantic.dataclasses import dataclass
 
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.models import DepthNetwork
 from sphericalvision.models.weights.pretrained import DEFAULT
+from sphericalvision.recipes.app.checks import hints_of, typed
 from sphericalvision.recipes.app.cli import build
+from sphericalvision.recipes.app.kinds import STRICT, Text
 from sphericalvision.recipes.evaluation.methods import Method, Scale, baselines, make_method, training_depths
 from sphericalvision.recipes.study.training import Training, training_config
 from sphericalvision.recipes.training.run_folder import flat_settings
 
 
-class StudyModel(NamedTuple):
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class StudyModel:
     """One entry of ``models`` in the config.
 
     Attributes:
         name: of its folders and in JSON.
-        label: in tables and pictures.
-        kind: "depth_network", or "constant" (a depth map for all frames).
+        label: in tables and pictures; the name if not given.
+        kind: a depth map for all frames is "constant".
         train: words of sphericalvision-train; for "constant" they choose the training set of the median.
         checkpoint: existing weights, or a sweep that needs no training, as ``make_method`` names them; ``{seed}``
             stands for each seed. With neither, a network is the one that ships.
     """
 
-    name: str
-    label: str
-    kind: str
-    train: tuple[str, ...] | None
-    checkpoint: str | None
+    name: Text
+    label: Text | None = None
+    kind: Literal["depth_network", "constant"] = "depth_network"
+    train: list[str] | None = None
+    checkpoint: Text | None = None
 
     def words(self, config: DictConfig) -> tuple[str, ...]:
         """Words of ``training``, its own, and of ``extra_training``; later ones win."""
-        return (*map(str, config.training), *(self.train or ()), *map(str, config.extra_training))
+        return (*config.training, *(self.train or ()), *config.extra_training)
 
     def trainings(self, config: DictConfig, folder: Path) -> list[Training]:
         """Its trainings, one for each seed; none where it is not trained."""
@@ -68,7 +72,7 @@ class StudyModel(NamedTuple):
             Method(
                 self.name if seed is None else f"{self.name}/seed{seed}",
                 partial(network, word, config),
-                label=self.label,
+                label=self.label or self.name,
                 seed=seed,
             )
             for seed, word in weights.items()
@@ -100,28 +104,23 @@ def study_models(config: DictConfig) -> list[StudyModel]:
     Raises:
         ArgumentError: there is none, or one has an unknown kind or key.
     """
-    models = [
-        _model(str(name), OmegaConf.to_container(node, resolve=True))  # type: ignore[arg-type]
-        for name, node in (config.models or {}).items()
-        if node is not None
-    ]
+    models = [_model(name, node) for name, node in (config.models or {}).items() if node is not None]
     if config.checkpoint is not None:
         label = Path(config.checkpoint).stem
-        models.append(StudyModel("own", label, "depth_network", None, config.checkpoint))
+        models.append(StudyModel(name="own", label=label, checkpoint=config.checkpoint))
     if not models:
         raise ArgumentError("models: expected at least one model, got none; see study=small for examples")
     return models
 
 
-def _model(name: str, entry: dict[str, Any]) -> StudyModel:
+def _model(name: str, entry: DictConfig) -> StudyModel:
+    keys = tuple(key for key in hints_of(StudyModel) if key != "name")
     for key in entry:
-        check_choice(f"models.{name}", key, ("kind", "label", "train", "checkpoint"))
-    kind, runs = entry.get("kind", "depth_network"), entry.get("train")
-    check_choice(f"models.{name}.kind", kind, ("depth_network", "constant"))
-    if kind == "constant" and runs is None:
+        check_choice(f"models.{name}", key, keys)
+    model = typed(StudyModel, {**entry, "name": name}, f"models.{name}.")
+    if model.kind == "constant" and model.train is None:
         raise ArgumentError(
             f"models.{name}.train: a constant depth map is the median of a training set; give the words that "
             "choose it, or [] for that of the words in training"
         )
-    train = None if runs is None else tuple(map(str, runs))
-    return StudyModel(name, entry.get("label") or name, kind, train, entry.get("checkpoint"))
+    return model

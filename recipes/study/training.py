@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import shlex
 import shutil
-import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,11 +15,11 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.recipes import train
 from sphericalvision.recipes.app.cli import console
 from sphericalvision.recipes.app.errors import several_processes
 from sphericalvision.recipes.app.words import own_configs, quote_paths
 from sphericalvision.recipes.training.run_folder import changed_settings, flat_settings
+from sphericalvision.recipes.training.stages import run_training
 
 
 def training_config(words: Sequence[str]) -> DictConfig:
@@ -104,12 +103,7 @@ def train_all(trainings: Sequence[Training], train_missing: bool, on_change: str
     for seeds in pending.values():
         for words in command_lines(seeds):
             try:
-                if "--multirun" in words:
-                    train.main(words)
-                elif status := subprocess.run(
-                    [sys.executable, "-m", train.__name__, *words], check=False
-                ).returncode:
-                    raise SystemExit(status)
+                run_training(words, seeds[0].config)
             except (Exception, SystemExit):
                 command = shlex.join(["sphericalvision-train", *words])
                 print(

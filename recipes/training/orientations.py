@@ -74,9 +74,7 @@ class OrientationModule(TrainingModule):
         """Log ``val/upright`` and so on."""
         self._log_scores("val")
 
-    def test_step(self, batch: dict[str, Any], batch_idx: int, dataloader_idx: int = 0) -> None:
-        """Compare classes in one orientation."""
-        self.validation_step(batch, batch_idx, dataloader_idx)
+    test_step = validation_step
 
     def on_test_epoch_end(self) -> None:
         """Log ``test/upright`` and so on."""

@@ -29,6 +29,7 @@ from sphericalvision.io.yaml_files import parse_yaml
 from sphericalvision.models import DepthNetwork, save_weights
 from sphericalvision.models.weights.registry import network_name
 from sphericalvision.recipes.app.checkpoints import read_checkpoint
+from sphericalvision.recipes.app.cli import changes
 from sphericalvision.recipes.app.help import walk
 from sphericalvision.recipes.datamodules.data_module import SampleDataModule
 from sphericalvision.recipes.training.module import TrainingModule, name_of
@@ -119,12 +120,12 @@ def check_resume(path: Path | None, module: TrainingModule) -> None:
     if path is None:
         return
     stored = stored_network(path)
-    mine = {"architecture": name_of(module.net), **module.net.hyperparameters}
-    if stored["architecture"] != mine["architecture"]:
+    current = {"architecture": name_of(module.net), **module.net.hyperparameters}
+    if stored["architecture"] != current["architecture"]:
         raise ArgumentError(
-            f"resume: {path} is a training of {stored['architecture']}, this run trains {mine['architecture']}"
+            f"resume: {path} is a training of {stored['architecture']}, this run trains {current['architecture']}"
         )
-    for key, value in mine.items():
+    for key, value in current.items():
         if stored.get(key) != value:
             raise ArgumentError(
                 f"resume: {path} was trained with {key} = {stored.get(key)}, this run has model.{key} = {value}; "
@@ -154,10 +155,7 @@ def changed_settings(folder: Path, config: DictConfig) -> list[str]:
     path = folder / "config.yaml"
     if not path.is_file():
         return []
-    old = _written_settings(path.read_text(encoding="utf-8"), str(path))
-    new = flat_settings(config)
-    keys = [key for key in {**old, **new} if old.get(key) != new.get(key)]
-    return [f"{key} was {old.get(key)}, is {new.get(key)}" for key in keys]
+    return changes(_written_settings(path.read_text(encoding="utf-8"), str(path)), flat_settings(config))
 
 
 @lru_cache(maxsize=64)  # a study asks of every training four times whether it is done

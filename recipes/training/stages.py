@@ -76,7 +76,8 @@ def train_stages(config: DictConfig, folder: Path) -> float:
     for stage in stages:
         if not stage.result.is_file():
             began = time.monotonic()
-            run(stage)
+            say(f"\n{stage.name}", style="bold")
+            run_training(stage.words, stage.config)
             note(stage, time.monotonic() - began, folder)
     say(
         f"\nAll stages are done. Weights: {stages[-1].result}\nHow they were made: {write_card(stages, folder)}"
@@ -113,18 +114,17 @@ def print_plan(stages: list[Stage]) -> None:
             )
 
 
-def run(stage: Stage) -> None:
-    """Do what ``sphericalvision-train`` does with the words of a stage.
+def run_training(words: list[str], config: DictConfig) -> None:
+    """Do what ``sphericalvision-train`` does with words that come to a configuration.
 
     Raises:
         SystemExit: it stopped before its end.
     """
-    say(f"\n{stage.name}", style="bold")
-    if not several_processes(stage.config):
-        train.main(stage.words)
+    if not several_processes(config):
+        train.main(words)
         return
-    # Lightning starts further processes by repeating the command line, which has to be that of this stage.
-    process = subprocess.Popen([sys.executable, "-m", train.__name__, *stage.words])
+    # Lightning starts further processes by repeating the command line, which has to be that of this training.
+    process = subprocess.Popen([sys.executable, "-m", train.__name__, *words])
     try:
         status = process.wait()
     except KeyboardInterrupt:  # has reached that process, too: it saves where it is
@@ -153,7 +153,7 @@ def errors_of(stage: Stage) -> dict[str, dict[str, float]]:
 def write_card(stages: list[Stage], folder: Path) -> Path:
     """Write which command made the weights, of what, in how much time, and how well they do."""
     hours = folder / "hours.json"
-    taken = json.loads(hours.read_text(encoding="utf-8")) if hours.is_file() else {}
+    measured = json.loads(hours.read_text(encoding="utf-8")) if hours.is_file() else {}
     lines = [
         f"# {stages[-1].result.stem}",
         "",
@@ -165,7 +165,7 @@ def write_card(stages: list[Stage], folder: Path) -> Path:
         "|---|---:|---:|---:|---|",
     ]
     for stage in stages:
-        time_taken = f"{taken[stage.name]:.2f}" if stage.name in taken else "before"
+        time_taken = f"{measured[stage.name]:.2f}" if stage.name in measured else "before"
         errors = next(iter(errors_of(stage).values()), {})
         text = ", ".join(f"{name} {value:.2f}" for name, value in errors.items())
         config = stage.config

@@ -4,10 +4,8 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import importlib
 import io
-from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,14 +20,20 @@ def run_recipe(folder: Path, recipe: str, *arguments: str) -> None:
     """Run a command as its console script would, in ``folder``."""
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
+        patch.setenv("COLUMNS", "1000")  # lines are not wrapped
         patch.setattr("sys.argv", [f"sphericalvision-{recipe}", *arguments])
         importlib.import_module(f"sphericalvision.recipes.{recipe}").main()
 
 
 @pytest.fixture
-def run(tmp_path: Path) -> Run:
-    """Run a command in a folder of its own."""
-    return functools.partial(run_recipe, tmp_path)
+def run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run a command in a folder of its own; gives what it printed."""
+
+    def run_here(recipe: str, *arguments: str) -> str:
+        run_recipe(tmp_path, recipe, *arguments)
+        return capsys.readouterr().out
+
+    return run_here
 
 
 @pytest.fixture(scope="session")
@@ -61,7 +65,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory, tiny_training: tuple[str, 
 
 
 @pytest.fixture
-def failing(run: Run, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+def failing(run: Run, capsys: pytest.CaptureFixture[str]) -> Run:
     """Run a command that must fail with status 1 and no traceback; gives what it said on stderr."""
 
     def run_failing(recipe: str, *arguments: str) -> str:

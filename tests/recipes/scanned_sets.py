@@ -6,10 +6,10 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
 import yaml
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from sphericalvision.cameras import (
@@ -68,7 +68,7 @@ def write_spires(root: Path) -> Path:
     rig = ring_rig(4, image_size=(8, 8)).world_from_camera[[0, 3, 1]]
     for k, world_from_camera in enumerate(rig):
         camera_from_lidar = invert_transform(pose @ world_from_camera)
-        q = quaternion(camera_from_lidar[:3, :3])
+        q = Rotation.from_matrix(camera_from_lidar[:3, :3].double().numpy()).as_quat()  # x, y, z, w
         cameras.append(
             {
                 "label": f"camera_{k}",
@@ -76,7 +76,7 @@ def write_spires(root: Path) -> Path:
                 "image_height": 40,
                 "intrinsics": [24.0, 24.0, 29.5, 19.5],
                 "extra_params": [0.0, 0.0, 0.0, 0.0],
-                "T_cam_lidar_t_xyz_q_xyzw": [*camera_from_lidar[:3, 3].tolist(), *q],
+                "T_cam_lidar_t_xyz_q_xyzw": [*camera_from_lidar[:3, 3].tolist(), *q.tolist()],
             }
         )
         for stamp in ("1700000000.010000000", "1700000001.900000000"):
@@ -89,14 +89,6 @@ def write_spires(root: Path) -> Path:
     for stamp in ("1700000000_000000000", "1700000001_000000000"):
         write_pcd(clouds / f"cloud_{stamp}.pcd", in_lidar(torch.zeros(3), OURS_FROM_LIDAR).numpy(), "binary")
     return root
-
-
-def quaternion(rotation: Tensor) -> list[float]:
-    """(x, y, z, w) by OpenCV and half angles."""
-    vector = cv2.Rodrigues(rotation.double().numpy())[0][:, 0]
-    angle = float(np.linalg.norm(vector))
-    axis = vector / angle if angle else vector
-    return [*(math.sin(angle / 2) * axis).tolist(), math.cos(angle / 2)]
 
 
 MEI = """%YAML:1.0
@@ -190,16 +182,9 @@ def write_omnipus(root: Path) -> Path:
     (root / "calibration").mkdir(parents=True)
     for k, world_from_camera in enumerate(rig.world_from_camera, 1):
         pose = invert_transform(OURS_FROM_LIDAR) @ world_from_camera
-        r = pose[:3, :3].double()
-        pitch = math.asin(-float(r[2, 0]))
-        roll, yaw = math.atan2(float(r[2, 1]), float(r[2, 2])), math.atan2(float(r[1, 0]), float(r[0, 0]))
-        values = dict(
-            zip(
-                ("roll", "pitch", "yaw", "x", "y", "z"),
-                (roll, pitch, yaw, *pose[:3, 3].tolist()),
-                strict=True,
-            )
-        )
+        angles = Rotation.from_matrix(pose[:3, :3].double().numpy()).as_euler("xyz").tolist()
+        keys = ("roll", "pitch", "yaw", "x", "y", "z")
+        values = dict(zip(keys, (*angles, *pose[:3, 3].tolist()), strict=True))
         content = {
             "intrinsic_parameters": [{"fx": 20.0}, {"fy": 20.0}, {"cx": 31.5}, {"cy": 17.5}],
             "distortion_parameters": [{f"k{i}": 0.0} for i in (1, 2, 3, 4)],

@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
-import pytest
 import torch
 
 from sphericalvision.cameras import read_rig
@@ -24,18 +22,14 @@ def angle_deg(one: torch.Tensor, other: torch.Tensor) -> float:
     return float(torch.rad2deg(cosine.double().clamp(max=1).acos()))
 
 
-def test_a_knocked_camera_is_brought_back(
-    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_knocked_camera_is_brought_back(run: Run, tmp_path: Path) -> None:
     write_knocked_capture(tmp_path / "c")
-    run("align", *WORDS, "output=new/rig.yaml", "check=true")
-    printed = capsys.readouterr().out
+    printed = run("align", *WORDS, "output=new/rig.yaml", "check=true")
     assert "turns cam2 by" in printed
     for column in ("turned", "shared", "light", "pixels/", "do"):
         assert column in printed
     assert not (tmp_path / "new").exists()
-    run("align", *WORDS, "output=new/rig.yaml")
-    assert "new/rig.yaml" in capsys.readouterr().out
+    assert "new/rig.yaml" in run("align", *WORDS, "output=new/rig.yaml")
     found, truth = read_rig(tmp_path / "new" / "rig.yaml"), true_rig()
     poses = [rig.world_from_camera[:, :3, :3] for rig in (found, truth, KNOCKED)]
     between = [angle_deg(pose[0].mT @ pose[1], poses[1][0].mT @ poses[1][1]) for pose in poses]
@@ -44,16 +38,13 @@ def test_a_knocked_camera_is_brought_back(
     torch.testing.assert_close(found.positions, truth.positions)
 
 
-def test_a_rig_that_is_right_is_left_alone(
-    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_rig_that_is_right_is_left_alone(run: Run, tmp_path: Path) -> None:
     write_knocked_capture(tmp_path / "c", degrees=0.0)
-    run("align", *WORDS, "output=new.yaml")
-    assert "finds the calibration right" in capsys.readouterr().out
+    assert "finds the calibration right" in run("align", *WORDS, "output=new.yaml")
     assert not (tmp_path / "new.yaml").exists()
 
 
-def test_one_camera_is_compared_with_nothing(failing: Callable[..., str], tmp_path: Path) -> None:
+def test_one_camera_is_compared_with_nothing(failing: Run, tmp_path: Path) -> None:
     write_knocked_capture(tmp_path / "c")
     assert "cameras: expected two or more" in failing("align", *WORDS, "cameras=[cam1]")
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 from itertools import islice
@@ -16,7 +17,14 @@ from sphericalvision.cameras import CameraRig, EquirectangularCamera, ring_rig
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import collate_samples
 from sphericalvision.losses import depth_index_huber
-from sphericalvision.models import DepthNetwork, IcoSweepNet, OmniMVS, RefinedSweepNet, RomniStereo
+from sphericalvision.models import (
+    DepthNetwork,
+    IcoSweepNet,
+    OmniMVS,
+    RefinedSweepNet,
+    RomniStereo,
+    SemiGlobalSweep,
+)
 from sphericalvision.models.refinedsweepnet import PRIOR
 from sphericalvision.recipes.datamodules.data_module import TrainingBatches, TrainingStream
 from sphericalvision.recipes.datamodules.random_rigs import RandomRigDataModule
@@ -279,3 +287,24 @@ def test_rigs_of_other_numbers_of_cameras_are_refused() -> None:
     data = RandomRigDataModule(world=RANDOM_RIGS)
     with pytest.raises(ArgumentError, match=r"RomniStereo takes rigs of 4 .* data.num_cameras=\[4\]"):
         data.bind_network(RomniStereo(16, 0.55, 2, (10, 20)))
+
+
+def test_tables_are_those_of_the_rig_and_made_once() -> None:
+    net = IcoSweepNet(level=3, num_hypotheses=4, min_depth=0.5, feature_channels=2, num_cameras=2)
+    tables = RigTables(net, capacity=2)
+    rigs = [ring_rig(2), ring_rig(2, radius=0.1), ring_rig(2, field_of_view=math.pi)]
+    first = tables.of(rigs[0])
+    for rig in rigs:
+        for mine, fresh in zip(tables.of(rig), net.tables(rig), strict=True):
+            assert torch.equal(mine, fresh)
+    assert tables.of(rigs[2]) is tables.of(ring_rig(2, field_of_view=math.pi))
+    assert tables.of(rigs[0]) is not first  # the oldest made room
+
+
+def test_tables_within_tables_count_against_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of a sweep without training hold those of the sphere sweep."""
+    monkeypatch.setattr("sphericalvision.recipes.training.rig_tables.BYTES", 1)
+    tables = RigTables(SemiGlobalSweep(level=3, num_hypotheses=4))
+    first = tables.of(ring_rig(2))
+    tables.of(ring_rig(3))  # too heavy to stay beside the first
+    assert tables.of(ring_rig(2)) is not first

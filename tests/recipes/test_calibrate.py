@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +28,7 @@ from tests.recipes.board_pictures import (
     back_to_back,
     write_boards,
 )
-from tests.recipes.tiny import Run, write_streams
+from tests.recipes.tiny import Run, typed, write_streams
 
 TARGET = "target_type: 'aprilgrid'\ntagCols: 6\ntagRows: 6\ntagSize: 0.07\ntagSpacing: 0.3\n"
 GRID = AprilGrid(6, 6, 0.07, 0.3), ["board=target.yaml"]
@@ -54,17 +53,12 @@ def photographed(folder: Path, board: AnyBoard, cameras: int, moments: int) -> N
 @pytest.mark.slow
 @pytest.mark.parametrize(("cameras", "board"), [(2, GRID), (2, MARKERS), (4, MARKERS)])
 def test_rigs_past_180_degrees_are_calibrated(
-    run: Run,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    cameras: int,
-    board: tuple[AnyBoard, list[str]],
+    run: Run, tmp_path: Path, cameras: int, board: tuple[AnyBoard, list[str]]
 ) -> None:
     """Focal lengths within 0.1 %, axes within 0.02° of each other, 0.15 px RMS with noise of two grey values."""
     photographed(tmp_path, board[0], cameras, 40)
     pattern = "images={camera}/*.png"
-    run("calibrate", pattern, *board[1], "to=fisheye", "field_of_view_deg=200", "output=rig.yaml")
-    printed = capsys.readouterr().out
+    printed = run("calibrate", pattern, *board[1], "to=fisheye", "field_of_view_deg=200", "output=rig.yaml")
     assert "cam1: axis 179" in printed or cameras == 4
     found, truth = read_rig(tmp_path / "rig.yaml", dtype=torch.float64), back_to_back(cameras, 560)
     assert float(printed.rsplit("RMS ", 1)[1].split()[0]) < 0.15
@@ -78,7 +72,7 @@ def test_rigs_past_180_degrees_are_calibrated(
     torch.testing.assert_close(between[0], between[1], rtol=0, atol=0.02)
 
 
-def test_boards_that_two_cameras_never_share_are_told(failing: Callable[..., str], tmp_path: Path) -> None:
+def test_boards_that_two_cameras_never_share_are_told(failing: Run, tmp_path: Path) -> None:
     for name, moments in (("front", range(4)), ("back", range(4, 8))):
         write_boards(tmp_path / name)
         for path in (tmp_path / name).glob("*.png"):
@@ -102,15 +96,10 @@ def test_a_picture_whose_board_stands_elsewhere_is_named(capsys: pytest.CaptureF
     assert "Warning: cam1/2.png left out: the board stands elsewhere than in the others' pictures" in said
 
 
-def test_a_lens_is_calibrated_from_pictures(
-    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_lens_is_calibrated_from_pictures(run: Run, tmp_path: Path) -> None:
     write_boards(tmp_path / "board")
-    run(
-        "calibrate", "images=board/*.png", f"board={COLUMNS}x{ROWS}", f"square={SQUARE}",
-        "num_coefficients=2", "field_of_view_deg=130", "output=lens.yaml",
-    )  # fmt: skip
-    assert "RMS" in capsys.readouterr().out
+    words = typed(f"images=board/*.png board={COLUMNS}x{ROWS} square={SQUARE} num_coefficients=2")
+    assert "RMS" in run("calibrate", *words, "field_of_view_deg=130", "output=lens.yaml")
     camera = read_camera(tmp_path / "lens.yaml")
     assert isinstance(camera, KannalaBrandtCamera)
     pixels = TRUTH.pixel_grid()[40:200:20, 60:260:20].reshape(-1, 2)
@@ -119,7 +108,7 @@ def test_a_lens_is_calibrated_from_pictures(
 
 
 def test_views_in_one_picture_or_video_are_those_of_their_cameras(
-    failing: Callable[..., str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    failing: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Pictures of each camera, both in one, a video of such, and one with two streams: the same corners."""
     pytest.importorskip("av")
@@ -164,7 +153,7 @@ def test_views_in_one_picture_or_video_are_those_of_their_cameras(
     assert "cameras: 7 views in rows and columns do not fill a picture of 640 x 240" in message
 
 
-def test_a_picture_without_a_board_is_told(failing: Callable[..., str], tmp_path: Path) -> None:
+def test_a_picture_without_a_board_is_told(failing: Run, tmp_path: Path) -> None:
     write_image(tmp_path / "grey.png", torch.full((60, 80, 3), 128, dtype=torch.uint8).numpy())
     message = failing("calibrate", "board=9x6", "square=0.03", f"images={tmp_path}/grey.png")
     assert "found on 0 of 1 pictures" in message

@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable
 from itertools import permutations
 from pathlib import Path
 from typing import Any
@@ -254,7 +253,7 @@ def test_braces_in_the_name_of_a_calibration_are_literal(tmp_path: Path) -> None
 
 
 def test_sizes_that_a_calibration_lacks_are_the_images_or_given(
-    run: Run, failing: Callable[..., str], tmp_path: Path
+    run: Run, failing: Run, tmp_path: Path
 ) -> None:
     frames = [
         {"file_path": f"cam{number}", "transform_matrix": pose.tolist()}

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -37,9 +36,7 @@ def words(root: Path, *more: str) -> list[str]:
     return ["data=omnistereo", f"data.root={root}", *splits, "data.batch_size=1", *more]
 
 
-def test_the_message_is_the_same_with_worker_processes(
-    failing: Callable[..., str], frames: Path, weights: Path
-) -> None:
+def test_the_message_is_the_same_with_worker_processes(failing: Run, frames: Path, weights: Path) -> None:
     said = [
         failing("evaluate", f"checkpoint={weights}", *words(frames, f"data.num_workers={number}"))
         for number in (0, 1)
@@ -49,26 +46,25 @@ def test_the_message_is_the_same_with_worker_processes(
 
 
 def test_evaluation_goes_without_the_frame_and_says_so(
-    run: Run, frames: Path, weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run: Run, frames: Path, weights: Path, tmp_path: Path
 ) -> None:
-    without = tmp_path / "without"
+    without, said = tmp_path / "without", []
     shutil.copytree(frames, without, ignore=shutil.ignore_patterns("00002*"))
     for root, more in ((frames, SKIP), (without, "data.on_error=stop")):
         given = words(root, more, "data.num_workers=1", f"output={root.name}-out", "baselines=false")
-        run("evaluate", f"checkpoint={weights}", *given)
+        said.append(run("evaluate", f"checkpoint={weights}", *given))
     tables = [json.loads((tmp_path / f"{name}-out/metrics.json").read_text()) for name in ("set", "without")]
     assert tables[0] == tables[1]
-    said = capsys.readouterr().out
-    assert said.count("1 of 3 frames were left out (data.on_error=skip). The first: ") == 1
-    assert "cam2/00002.png: cannot be read" in said
+    assert said[0].count("1 of 3 frames were left out (data.on_error=skip). The first: ") == 1
+    assert "cam2/00002.png: cannot be read" in said[0]
+    assert "left out" not in said[1]
 
 
-def test_training_takes_the_next_one_and_says_so(
-    run: Run, frames: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_training_takes_the_next_one_and_says_so(run: Run, frames: Path) -> None:
     tiny = [word for word in TINY_TRAINING if not word.startswith(("data.num_", "data.samples", "rig."))]
-    run("train", *tiny, *words(frames, SKIP, "data.num_workers=1"), "trainer.max_steps=4", "output=run")
-    said = capsys.readouterr().out
+    said = run(
+        "train", *tiny, *words(frames, SKIP, "data.num_workers=1"), "trainer.max_steps=4", "output=run"
+    )
     assert "1 of 3 frames were left out" in said
     assert "val MAE" not in said or "nan" not in said
 

@@ -13,22 +13,23 @@ import torch
 from sphericalvision.cameras import EquirectangularCamera
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import OmniStereoDataset, collate_samples
-from sphericalvision.models import DepthNetwork
+from sphericalvision.io.images import read_image
+from sphericalvision.models import DepthNetwork, OmniMVS, load_weights, save_weights
+from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.datamodules.entries import images_of, truth_of
 from sphericalvision.recipes.datamodules.scenes import SceneDataModule
 from tests.documented import blocks
-from tests.recipes.tiny import TINY_SCENES, Run, composed, typed
+from tests.recipes.tiny import TINY_SCENES, Run, command_after, composed, typed
 
 TINY_PANORAMAS = ("rig=equirect4", "rig.image_size=[16,32]")
 
 
-def test_networks_are_evaluated_on_panoramas(
-    run: Run, tmp_path: Path, weights: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_networks_are_evaluated_on_panoramas(run: Run, tmp_path: Path, weights: Path) -> None:
     words = [word for word in TINY_SCENES if "image_size" not in word]
-    run("evaluate", *TINY_PANORAMAS, *words, f"checkpoint={weights}", "output=table", "device=cpu")
-    assert "rig=equirect4" in capsys.readouterr().out
+    assert "rig=equirect4" in run(
+        "evaluate", *TINY_PANORAMAS, *words, f"checkpoint={weights}", "output=table", "device=cpu"
+    )
     row = json.loads((tmp_path / "table/metrics.json").read_text())["weights"]
     assert 0 <= row["MAE"] <= row["RMS"] <= 100
 
@@ -127,3 +128,57 @@ def test_both_kinds_of_samples_are_augmented_alike() -> None:
     assert torch.equal(poses[0], poses[2])
     plain = fisheye_scenes(*words).plain_train_dataset()[0]["rig"]
     assert not torch.equal(poses[0], torch.stack([plain.world_from_camera] * 2))
+
+
+OMNIMVS = (
+    *typed("experiment=omnimvs_small model.num_hypotheses=4 model.feature_channels=2 model.num_scales=2"),
+    *TINY_SCENES,
+    *typed(
+        "model.output_size=[20,40] trainer.val_check_interval=1 trainer.accelerator=cpu scheduler=constant"
+    ),
+)
+
+
+@pytest.fixture(scope="module")
+def cached_scenes(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Where the scenes of these tests are kept."""
+    return f"data.cache_dir={tmp_path_factory.mktemp('fisheye')}"
+
+
+def test_a_training_draws_panels_and_its_best_is_evaluated(
+    run: Run, tmp_path: Path, cached_scenes: str
+) -> None:
+    printed = run(
+        "train", *OMNIMVS, cached_scenes, "trainer.max_steps=1", "output=run", "callbacks.panels.num_frames=1"
+    )
+    assert isinstance(load_weights(tmp_path / "run/checkpoints/last.safetensors"), OmniMVS)
+    panel = read_image(tmp_path / "run/panels/000001.png")
+    assert panel.shape == (3, 3 * 128, 256)  # estimate, truth and error
+
+    run("evaluate", *command_after(printed, "Evaluate: ")[1:], "output=table", "device=cpu")
+    (row,) = json.loads((tmp_path / "table/metrics.json").read_text()).values()
+    assert 0 < row["MAE"] < 100
+
+
+def test_networks_are_not_mixed_up(
+    run: Run, failing: Run, tmp_path: Path, cached_scenes: str, weights: Path
+) -> None:
+    message = failing("train", *OMNIMVS, cached_scenes, f"init_weights={weights}", "output=other")
+    assert "is IcoSweepNet, the network to train OmniMVS" in message
+    path = save_weights(
+        OmniMVS(4, feature_channels=1, output_size=(32, 64)), tmp_path / "omnimvs.safetensors"
+    )
+    with pytest.raises(ArgumentError, match="level: OmniMVS has no such hyper-parameter, leave it out"):
+        read_network(path).with_changes(level=5)
+    assert read_network(path).with_changes(min_depth=1.0).min_depth == 1.0
+    sphere_only = [word for word in OMNIMVS if not word.startswith("experiment")]
+    message = failing(
+        "train",
+        "model=omnimvs_small",
+        "data=scenes",
+        "data.entries=[sphere]",
+        *sphere_only,
+        "data.cache_dir=null",
+        "output=wrong",
+    )
+    assert "leave out data.entries" in message

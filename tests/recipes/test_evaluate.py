@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -181,9 +180,7 @@ def test_frames_that_are_recorded_are_not_asked_for_again(frames: dict[str, Any]
     assert len(asked) == 3
 
 
-def test_the_command_evaluates_as_predict_predicts(
-    run: Run, failing: Callable[..., str], tmp_path: Path
-) -> None:
+def test_the_command_evaluates_as_predict_predicts(run: Run, failing: Run, tmp_path: Path) -> None:
     """And writes no table where nothing is confident enough."""
     words = "checkpoint=icosweepnet-small", "model.level=4", "device=cpu", *TINY_SCENES
     for name, more in (
@@ -204,9 +201,7 @@ def test_the_command_evaluates_as_predict_predicts(
     assert not (tmp_path / "none/metrics.json").exists()
 
 
-def test_further_methods_see_the_same_frames(
-    run: Run, tmp_path: Path, failing: Callable[..., str], weights: Path
-) -> None:
+def test_further_methods_see_the_same_frames(run: Run, tmp_path: Path, failing: Run, weights: Path) -> None:
     words = "checkpoint=weights.safetensors", "device=cpu", *TINY_SCENES, "data.cache_dir=null"
     weights.with_name("other.safetensors").write_bytes(weights.read_bytes())
     run("evaluate", *words, "methods=[semi-global-sweep,other.safetensors]", "output=out")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measures and tables of comparisons against the same numbers by another way."""
+"""Measures, methods and tables of comparisons against the same numbers by another way."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 import torch
 
-from sphericalvision.cameras import CameraRig, EquirectangularCamera
+from sphericalvision.cameras import CameraRig, EquirectangularCamera, ring_rig
 from sphericalvision.capture.preparation.preparation import AS_IT_IS
+from sphericalvision.core import ShapeError
 from sphericalvision.data.scanned.helvipad import HELVIPAD_LATITUDES
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import ConstantDepth
@@ -29,11 +30,13 @@ from sphericalvision.recipes.evaluation.loop import (
 from sphericalvision.recipes.evaluation.methods import SCALE, Answer, Method, make_method
 from sphericalvision.recipes.evaluation.pictures import camera_picture
 from sphericalvision.recipes.evaluation.records import Record
+from sphericalvision.recipes.evaluation.rectified_sgbm import RectifiedSGBM
 from sphericalvision.recipes.evaluation.results import Results
 from sphericalvision.recipes.evaluation.strips import StripErrors, table_with_published
 from sphericalvision.recipes.evaluation.tables import Cell, Table, error_table
 from sphericalvision.recipes.evaluation.track_frames import Size, render_frame
 from sphericalvision.recipes.evaluation.tracks import TRACKS, Track
+from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import DepthEstimate, index_from_inverse_depth
 
@@ -312,3 +315,39 @@ def test_renderings_are_kept_and_read(tmp_path: Path) -> None:
         again = render_frame(TRACKS[name], 0, size, tmp_path)
         for camera, image in frame.images.items():
             torch.testing.assert_close(again.images[camera], (255 * image).round().div(2).floor() / 255)
+
+
+def test_depth_of_a_rendered_room() -> None:
+    rig, scene = ring_rig(4, image_size=(128, 128)), make_scene("room", seed=3)
+    method = make_method("rectified-sgbm", level=5)
+    net = method.net
+    assert isinstance(net, RectifiedSGBM)
+    images = net.intake(rig)(render_rig(scene, rig, samples_per_pixel=2))
+    blank = torch.zeros_like(images)
+    estimate = net.predict(torch.stack((images, blank)), net.tables(rig))
+    assert estimate.index.shape == (2, 48, 96)
+    truth = ray_depth(scene, rig.center, net.grid.directions).reciprocal()
+    error = (estimate.index[0] - index_from_inverse_depth(truth, 16, 0.55)).abs()
+    assert error.median() < 0.3  # of 15
+    assert error[estimate.seen[0]].mean() < 1.5
+    assert estimate.seen[0].float().mean() > 0.9
+    assert (estimate.confidence[~estimate.seen] == 0).all()
+    assert estimate.index.isfinite().all()
+    assert (estimate.index >= 0).all()
+    assert (estimate.index <= 15).all()
+
+
+def test_what_is_masked_is_not_matched() -> None:
+    rig, scene = ring_rig(4, image_size=(64, 64)), make_scene("room", seed=3)
+    net = RectifiedSGBM(level=4)
+    images = net.intake(rig)(render_rig(scene, rig, samples_per_pixel=1))
+    seen = torch.ones(4, 64, 64, dtype=torch.bool)
+    seen[0] = False  # of the camera in front
+    partly = net.predict(images[None], rig, seen).seen[0]
+    # Between ahead and right none but these two cameras look, between back and right two others do.
+    aside, behind = partly[8:16, 29:31], partly[8:16, 41:43]
+    assert behind.float().mean() > 0.9
+    assert not net.predict(images[None], rig, torch.zeros_like(seen)).seen.any()
+    assert aside.float().mean() < 0.2
+    with pytest.raises(ShapeError, match="images: expected shape"):
+        net.predict(images, rig)

@@ -7,7 +7,6 @@ import json
 import math
 import shlex
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -44,20 +43,17 @@ def test_another_data_set_takes_the_place_of_the_experiments(run: Run, tmp_path:
         assert build(config[group], group) is not None
 
 
-def test_a_sweep_ends_with_a_table(
-    run: Run, tmp_path: Path, tiny_training: Words, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run(
-        "train", *tiny_training, "trainer.max_steps=1", "hparams=learning_rate", "logger=none", "output=sweep"
-    )
+def test_a_sweep_ends_with_a_table(run: Run, tmp_path: Path, tiny_training: Words) -> None:
+    words = ("trainer.max_steps=1", "hparams=learning_rate", "logger=none", "output=sweep")
+    printed = run("train", *tiny_training, *words)
     rows = json.loads((tmp_path / "sweep/sweep.json").read_text())
     assert [row["optimizer.lr"] for row in rows] == ["0.0005", "0.002"]
     assert all(math.isfinite(row["MAE"]) for row in rows)
     assert "| run | optimizer.lr | >1 |" in (tmp_path / "sweep/sweep.md").read_text()
-    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("Resume:")]
-    program, *words = shlex.split(lines[-1].removeprefix("Resume:"))
+    lines = [line for line in printed.splitlines() if line.startswith("Resume:")]
+    program, *resumed = shlex.split(lines[-1].removeprefix("Resume:"))
     assert program == "sphericalvision-train"
-    run("train", *words)  # as pasted: goes on with that run, and sweeps no more
+    run("train", *resumed)  # as pasted: goes on with that run, and sweeps no more
     assert len(list((tmp_path / "sweep").glob("*/validation.json"))) == 2
     assert "step 2" in (tmp_path / "sweep/1/validation.md").read_text()
 
@@ -94,11 +90,7 @@ register_network("squashed", Squashed)
 
 
 def test_a_network_of_ones_own_is_a_file_and_a_new_hyperparameter_two_edits(
-    run: Run,
-    failing: Callable[..., str],
-    tmp_path: Path,
-    tiny_training: Words,
-    monkeypatch: pytest.MonkeyPatch,
+    run: Run, failing: Run, tmp_path: Path, tiny_training: Words, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Trained, saved, loaded, changed and evaluated without a package: an argument of a class, and a line of YAML."""
     monkeypatch.setattr("sys.path", [*sys.path])
@@ -177,18 +169,17 @@ def test_extras_write_their_files(
 
 
 @pytest.mark.slow
-def test_progress_is_drawn_wherever_the_output_goes(
-    run: Run, tiny_training: Words, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run("train", *tiny_training, "callbacks=rich_progress", "logger=none", "trainer.max_steps=1")
-    assert "training" in capsys.readouterr().out
+def test_progress_is_drawn_wherever_the_output_goes(run: Run, tiny_training: Words) -> None:
+    assert "training" in run(
+        "train", *tiny_training, "callbacks=rich_progress", "logger=none", "trainer.max_steps=1"
+    )
 
 
 def unavailable() -> None:
     raise ModuleNotFoundError("No module named 'mlflow'", name="mlflow")
 
 
-def test_packages_that_are_missing_are_named(failing: Callable[..., str]) -> None:
+def test_packages_that_are_missing_are_named(failing: Run) -> None:
     node = OmegaConf.create({"_target_": f"{__name__}.unavailable"})
     with pytest.raises(ArgumentError, match=r"logger\.mlflow: needs .*'sphericalvision\[mlflow\]'"):
         build(node, "logger.mlflow")
@@ -207,7 +198,7 @@ class Locked(CSVLogger):
 
 
 def test_loggers_that_cannot_begin_are_told_before_anything_is_rendered(
-    failing: Callable[..., str], tmp_path: Path, tiny_training: Words
+    failing: Run, tmp_path: Path, tiny_training: Words
 ) -> None:
     words = ("logger=csv", f"logger.csv._target_={__name__}.Locked", "data.cache_dir=scenes", "output=run")
     message = failing("train", *tiny_training, *words).partition("Error: ")[2].strip()
@@ -223,9 +214,7 @@ def test_loggers_are_made(logger: str, tmp_path: Path) -> None:
         assert type(build(node, name)).__name__.lower().startswith(name)
 
 
-def test_a_sweep_goes_on_after_a_run_that_fails(
-    failing: Callable[..., str], tmp_path: Path, tiny_training: Words
-) -> None:
+def test_a_sweep_goes_on_after_a_run_that_fails(failing: Run, tmp_path: Path, tiny_training: Words) -> None:
     words = (*tiny_training, "trainer.max_steps=1", "logger=none", "output=sweep")
     message = failing("train", "-m", *words, "model.norm=banana,instance")
     assert "norm: expected one of" in message

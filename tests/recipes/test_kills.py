@@ -197,7 +197,7 @@ STATES = {
 @pytest.mark.parametrize("state", STATES)
 @pytest.mark.parametrize("command", WRITERS)
 def test_where_nothing_can_be_written_one_paragraph_says_so(
-    state: str, command: str, failing: Callable[..., str], disk: Callable[..., Path], capture: Path
+    state: str, command: str, failing: Run, disk: Callable[..., Path], capture: Path
 ) -> None:
     options, reason = STATES[state]
     folder = disk(*options) if options else capture / "file"
@@ -214,7 +214,7 @@ def test_where_nothing_can_be_written_one_paragraph_says_so(
 
 
 def test_frames_of_a_disk_that_was_full_are_rendered_again(
-    run: Run, failing: Callable[..., str], disk: Callable[..., Path], capture: Path
+    run: Run, failing: Run, disk: Callable[..., Path], capture: Path
 ) -> None:
     folder = disk("size=60k")
     words = [*COMMANDS["render"], "num_frames=2", "rig.image_size=[64,64]", "height=64"]

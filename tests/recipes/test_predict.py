@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 import re
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -73,9 +72,7 @@ def test_depth_of_a_capture_without_a_network(run: Run, capture: Path, weights: 
         assert finer == 4 * arrays["index"].shape[0] - 6  # one level more
 
 
-def test_a_world_whose_z_is_up_and_a_robots_frame(
-    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_world_whose_z_is_up_and_a_robots_frame(run: Run, tmp_path: Path) -> None:
     """A rig whose calibration lies on its side has the depth of the upright one, and points where a robot has them."""
     rig, folder = make_ring(3, radius=0.2, image_size=(48, 48)), tmp_path / "c"
     scene = make_scene("room", seed=3)
@@ -95,8 +92,8 @@ def test_a_world_whose_z_is_up_and_a_robots_frame(
     }
     said, results = {}, {}
     for name, words in outputs.items():
-        run(*typed(f"predict {words} images=c output={name} {COARSE} outputs=[npz,cloud,fused,mesh]"))
-        said[name] = " ".join(capsys.readouterr().out.split())
+        more = f"output={name} {COARSE} outputs=[npz,cloud,fused,mesh]"
+        said[name] = run("predict", *typed(f"{words} images=c {more}"))
         (npz,) = (tmp_path / name).glob("*depth.npz")
         (ply,) = (tmp_path / name).glob("*points.ply")
         results[name] = (
@@ -123,7 +120,7 @@ def test_a_world_whose_z_is_up_and_a_robots_frame(
 
 
 def test_a_field_of_view_that_the_calibration_does_not_tell_is_that_of_the_images(
-    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run: Run, tmp_path: Path
 ) -> None:
     rig, folder = ring_rig(3, 0.2, (64, 64), math.radians(190)), tmp_path / "c"
     write_capture(folder, rig, render_rig(make_scene("room", seed=3), rig, 2), file="{camera}/1.png")
@@ -131,13 +128,13 @@ def test_a_field_of_view_that_the_calibration_does_not_tell_is_that_of_the_image
     save_rig(rig.replaced(cameras), folder / "wide.yaml")
     results = {}
     for name, words in {"rig": "rig.yaml", "wide": "wide.yaml", "told": "wide.yaml max_angle_deg=95"}.items():
-        run(*typed(f"predict calibration=c/{words} images=c output={name} {COARSE}"))
-        assert ("cam1 is dark beyond 95°" in " ".join(capsys.readouterr().out.split())) == (name == "wide")
+        told = run(*typed(f"predict calibration=c/{words} images=c output={name} {COARSE}"))
+        assert ("cam1 is dark beyond 95°" in told) == (name == "wide")
         results[name] = np.load(next((tmp_path / name).glob("*.npz")))["index"]
     np.testing.assert_allclose(results["wide"], results["rig"], atol=1e-2)
     np.testing.assert_allclose(results["told"], results["rig"], atol=1e-2)
-    run("inspect", f"calibration={folder}/wide.yaml", f"images={folder}/{{camera}}/{{frame}}.png", "level=3")
-    assert "cam3 is dark beyond 95°" in " ".join(capsys.readouterr().out.split())
+    told = run("inspect", *typed("calibration=c/wide.yaml images=c/{camera}/{frame}.png level=3"))
+    assert "cam3 is dark beyond 95°" in told
     for name in rig.names:
         shutil.copy(folder / name / "1.png", folder / name / "2.png")
     given = {"images": f"{folder}/{{camera}}/{{frame}}.png", "calibration": f"{folder}/wide.yaml"}
@@ -145,21 +142,18 @@ def test_a_field_of_view_that_the_calibration_does_not_tell_is_that_of_the_image
         assert data.source.rig.cameras["cam3"].max_angle == pytest.approx(math.radians(95), abs=0.01)
 
 
-def test_what_is_compensated_is_said(
-    run: Run, weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_compensated_is_said(run: Run, weights: Path, tmp_path: Path) -> None:
     rig = make_ring(4, radius=0.2, image_size=(96, 96))
     pictures = render_rig(make_scene("room", seed=3), rig, 2)
     for folder, factor in ((tmp_path / "even", 1.0), (tmp_path / "dark", 0.6)):
         taken = {**pictures, "cam1": factor * pictures["cam1"]}
         write_capture(folder, rig, taken, file="{camera}/00003.png")
-    run("predict", *words(tmp_path / "even", weights, "out"), "outputs=[npz]")
-    assert "compensates" not in capsys.readouterr().out
-    run("predict", *words(tmp_path / "dark", weights, "out_dark"), "outputs=[npz]")
-    least, most = re.findall(r"compensates exposures of (\S+) to (\S+) of", capsys.readouterr().out)[0]
+    assert "compensates" not in run("predict", *words(tmp_path / "even", weights, "out"), "outputs=[npz]")
+    told = run("predict", *words(tmp_path / "dark", weights, "out_dark"), "outputs=[npz]")
+    least, most = re.findall(r"compensates exposures of (\S+) to (\S+) of", told)[0]
     assert abs(float(least) / float(most) - 0.6) < 0.06
-    run("predict", *words(tmp_path / "dark", weights, "out_off"), "outputs=[npz]", "photometric=false")
-    assert "compensates" not in capsys.readouterr().out
+    dark = words(tmp_path / "dark", weights, "out_off")
+    assert "compensates" not in run("predict", *dark, "outputs=[npz]", "photometric=false")
 
 
 def test_images_and_network_are_read_once(
@@ -184,9 +178,7 @@ def test_images_and_network_are_read_once(
     assert len(networks) == 1
 
 
-def test_knocked_cameras_are_turned_and_it_is_said(
-    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_knocked_cameras_are_turned_and_it_is_said(run: Run, tmp_path: Path) -> None:
     """The rig that it writes gives the same depth, and is taken where a folder goes on."""
     rig = make_ring(4, image_size=(256, 256))
     pictures = render_rig(make_scene("room", seed=5), rig)
@@ -196,20 +188,18 @@ def test_knocked_cameras_are_turned_and_it_is_said(
     images = f"images={tmp_path}/c/cam{{camera}}/{{frame:05d}}.png"
     common = typed(f"{images} checkpoint=icosweepnet-small outputs=[npz] height=64")
     first = [f"calibration={tmp_path}/c/rig.yaml", "output=turned", *common]
-    run("predict", *first)
-    assert "preparation turns cam1 by" in capsys.readouterr().out
+    assert "preparation turns cam1 by" in run("predict", *first)
     depth = tmp_path / "turned/00003_depth.npz"
     before = np.load(depth)["index"]
     depth.unlink()
-    run("predict", *first, "skip_existing=true")
-    assert "preparation turns" not in capsys.readouterr().out
+    assert "preparation turns" not in run("predict", *first, "skip_existing=true")
     run("predict", f"calibration={tmp_path}/turned/aligned.yaml", "output=again", *common, "align=false")
     for path in (depth, tmp_path / "again/00003_depth.npz"):
         np.testing.assert_allclose(np.load(path)["index"], before, atol=0.01)
 
 
 def test_frames_that_cannot_be_read_are_not_looked_at_for_the_calibration(
-    failing: Callable[..., str], capture: Path, weights: Path, tmp_path: Path
+    failing: Run, capture: Path, weights: Path, tmp_path: Path
 ) -> None:
     (capture / "cam2" / "00003.png").write_bytes(b"no image")
     message = failing("predict", *words(capture, weights, "out"), "outputs=[npz]", "align=true")
@@ -230,7 +220,7 @@ def test_masked_pixels_have_no_influence(run: Run, capture: Path, weights: Path,
 
 
 def test_a_camera_that_a_mask_leaves_next_to_nothing_of_sees_nothing(
-    run: Run, failing: Callable[..., str], capture: Path, weights: Path, tmp_path: Path
+    run: Run, failing: Run, capture: Path, weights: Path, tmp_path: Path
 ) -> None:
     mask = np.zeros(SIZE, np.uint8)
     cv2.imwrite(str(capture / "cam2/mask.png"), mask)
@@ -242,39 +232,36 @@ def test_a_camera_that_a_mask_leaves_next_to_nothing_of_sees_nothing(
     assert len(trimesh.load(tmp_path / "out/00003_points.ply").vertices)
 
 
-def test_the_rigs_own_body_is_masked(
-    run: Run, weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_rigs_own_body_is_masked(run: Run, weights: Path, tmp_path: Path) -> None:
     """A dark plate that stands still in the pictures of one camera; a capture of few frames is not masked."""
     folder = write_plated_capture(tmp_path / "moving")
     given = typed(
         f"calibration={folder}/rig.yaml images={folder}/{{camera}}/{{frame}}.png height=32 align=false"
     )
     given += typed(f"checkpoint={weights} masks=auto outputs=[npz]")
-    run("predict", *given, "output=out", "stop=1")
+    told = run("predict", *given, "output=out", "stop=1")
     masks = {name: read_image(tmp_path / f"out/masks/{name}.png")[0] for name in PLATED.names}
     assert not masks["cam2"][72:90, 30:66].any()
     assert masks["cam2"][:54].all()
     assert all(masks[name].all() for name in PLATED.names if name != "cam2")
-    told = capsys.readouterr().out
     assert re.search(r"mask of cam2: 2\d\.\d % of its picture\n", told)
     assert "mask of cam1: 0.0 % of its picture (no body was seen)" in told
-    run("predict", *given, "output=few", "frames=[1,2]")
+    told = run("predict", *given, "output=few", "frames=[1,2]")
     assert read_image(tmp_path / "few/masks/cam2.png").min() == 1
-    assert "2 different view(s) of 2 frame(s), at least 8 are needed" in capsys.readouterr().out
+    assert "2 different view(s) of 2 frame(s), at least 8 are needed" in told
 
 
 @pytest.mark.slow
 def test_photo_consistency_is_printed_and_kept(
-    run: Run, capture: Path, weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run: Run, capture: Path, weights: Path, tmp_path: Path
 ) -> None:
     sweep = (*words(capture, weights, "out"), "method=semi_global", "outputs=[consistency]")
-    run("predict", *sweep)
+    printed = run("predict", *sweep)
     header, *rows = (tmp_path / "out" / "consistency.csv").read_text().splitlines()
     assert header == "frame,photo_consistency"
     shares = [float(row.split(",")[1]) for row in rows]
     assert all(0 < share < 1 for share in shares)
-    assert f"photo-consistency: {sum(shares) / len(shares):.3f} of" in capsys.readouterr().out
+    assert f"photo-consistency: {sum(shares) / len(shares):.3f} of" in printed
     run("predict", *sweep, "skip_existing=true", "stop=1")
     # one frame gets all threads, two share them: sums are rounded otherwise, and the table has four digits
     again = list(read_shares(tmp_path / "out" / "consistency.csv").values())
@@ -282,7 +269,7 @@ def test_photo_consistency_is_printed_and_kept(
 
 
 def test_prediction_goes_on_where_it_stopped(
-    run: Run, failing: Callable[..., str], capture: Path, weights: Path, tmp_path: Path
+    run: Run, failing: Run, capture: Path, weights: Path, tmp_path: Path
 ) -> None:
     """Frames that cannot be read are left out and told at the end; what is done is not done again."""
     good = (capture / "cam3/00003.png").read_bytes()
@@ -302,8 +289,7 @@ def test_prediction_goes_on_where_it_stopped(
     assert "holds results of other settings (height was" in message
     assert "is 24)" in message
     save_weights(IcoSweepNet(3, 4, feature_channels=2), weights)
-    message = failing("predict", *words(capture, weights, "out"), "skip_existing=true")
-    assert "(network was " in message
+    assert "(network was " in failing("predict", *words(capture, weights, "out"), "skip_existing=true")
 
 
 LEFT: dict[str, tuple[str, bytes]] = {
@@ -336,9 +322,7 @@ SWEEP += ["min_depth=0.5", "height=16", "outputs=[npz,consistency,fused]", "alig
 
 
 @pytest.mark.parametrize("damage", LEFT)
-def test_what_a_broken_disk_left_is_told(
-    swept: Path, tmp_path: Path, failing: Callable[..., str], damage: str
-) -> None:
+def test_what_a_broken_disk_left_is_told(swept: Path, tmp_path: Path, failing: Run, damage: str) -> None:
     name, content = LEFT[damage]
     shutil.copytree(swept, tmp_path, dirs_exist_ok=True)
     (tmp_path / "out" / name).write_bytes(content)
@@ -348,12 +332,11 @@ def test_what_a_broken_disk_left_is_told(
 
 
 def test_a_folder_goes_on_with_the_same_files_alone(
-    swept: Path, tmp_path: Path, run: Run, failing: Callable[..., str], capsys: pytest.CaptureFixture[str]
+    swept: Path, tmp_path: Path, run: Run, failing: Run
 ) -> None:
     """Files under the names that settings have may hold something else by now; other runs may have come between."""
     shutil.copytree(swept, tmp_path, dirs_exist_ok=True)
-    run("predict", *SWEEP, "skip_existing=true")
-    assert "2 frame(s) are complete in" in capsys.readouterr().out
+    assert "2 frame(s) are complete in" in run("predict", *SWEEP, "skip_existing=true")
     first = (tmp_path / "rig.yaml").read_bytes()
     save_rig(ring_rig(3, radius=0.21, image_size=(32, 32)), tmp_path / "rig.yaml")
     assert "(rig was " in failing("predict", *SWEEP, "skip_existing=true")
@@ -372,11 +355,11 @@ def test_a_torn_table_of_consistency_loses_its_last_line_alone(tmp_path: Path) -
 
 
 def test_what_only_one_camera_sees_is_not_shown_as_measured(
-    run: Run, capture: Path, weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run: Run, capture: Path, weights: Path, tmp_path: Path
 ) -> None:
     """Two cameras of 220 degrees back to back: both see a belt on either side of the plane between them, if far."""
-    run("predict", *words(capture, weights, "out"), "cameras=[cam1,cam3]", "frames=[3]", "height=64")
-    printed = capsys.readouterr().out
+    more = ("cameras=[cam1,cam3]", "frames=[3]", "height=64")
+    printed = run("predict", *words(capture, weights, "out"), *more)
     with np.load(tmp_path / "out/00003_depth.npz") as arrays:
         matched, directions = arrays["matched_panorama"], Equirectangular(64, 128).directions.numpy()
         center, depth = arrays["center"], arrays["depth_panorama"]
@@ -398,9 +381,7 @@ def test_masks_beside_the_images_are_no_frames(
     ]
 
 
-def test_mistakes_are_named(
-    failing: Callable[..., str], capture: Path, weights: Path, tmp_path: Path
-) -> None:
+def test_mistakes_are_named(failing: Run, capture: Path, weights: Path, tmp_path: Path) -> None:
     good = words(capture, weights, "out")
     four = save_weights(
         IcoSweepNet(3, 4, feature_channels=2), tmp_path / "four.safetensors"

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,9 +11,8 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from torch import Tensor
 
-from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.cameras import ring_rig
 from sphericalvision.capture import Depth
 from sphericalvision.capture.alignment import RigTurns
 from sphericalvision.capture.estimating import estimate_frames
@@ -26,21 +24,12 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import write_image, write_pages
 from sphericalvision.models import WinnerTakesAll
 from sphericalvision.recipes.commands import predict as commands
-from sphericalvision.scenes import make_scene, ray_depth, render_rig
+from sphericalvision.scenes import ray_depth, render_rig
 from sphericalvision.sphere import Equirectangular
+from tests.capture.test_hints import SCENE, depth_images
 from tests.recipes.tiny import Run, typed
 
-SCENE = make_scene("room", seed=4)
 SIZE = (120, 120)
-
-
-def depth_images(rig: CameraRig) -> dict[str, Tensor]:
-    images = {}
-    for (name, camera), pose in zip(rig.cameras.items(), rig.world_from_camera, strict=True):
-        rays, seen = camera.unproject(camera.pixel_grid(torch.float32))
-        images[name] = torch.zeros(camera.image_size)
-        images[name][seen] = ray_depth(SCENE, pose[:3, 3], rays[seen] @ pose[:3, :3].T)
-    return images
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +49,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     points = (ray_depth(SCENE, rig.center, Icosphere(5).vertices)[:, None] * Icosphere(5).vertices).numpy()
     trimesh.PointCloud(points).export(folder / "0.ply")
     np.save(folder / "0.npy", points)
-    for name, depth in depth_images(rig.resized((80, 80))).items():
+    for name, (depth,) in depth_images(rig.resized((80, 80))).items():
         write_pages(folder / f"mm/{name}/0.png", [(1000 * depth).numpy().astype(np.uint16)])
         inverse = 3 / depth.where(depth > 0, torch.inf) + 1
         write_pages(folder / f"mono/{name}/0.tiff", [inverse.where(depth > 0, torch.nan).numpy()])
@@ -106,7 +95,7 @@ def test_depth_images_belong_to_the_cameras_that_the_whole_rig_says(
     run: Run, capture: Path, tmp_path: Path
 ) -> None:
     """Folders 0 to 3: of cam2 and cam3 alone, 2 and 3 are those of the cameras behind them."""
-    for place, (name, depth) in enumerate(depth_images(ring_rig(4, image_size=(40, 40))).items()):
+    for place, (name, (depth,)) in enumerate(depth_images(ring_rig(4, image_size=(40, 40))).items()):
         write_pages(tmp_path / f"depth/{place}/0.tiff", [depth.numpy()])
         write_pages(tmp_path / f"named/{name}/0.tiff", [depth.numpy()])
     for name in ("depth", "named"):
@@ -132,7 +121,7 @@ def test_depth_images_are_turned_as_their_cameras_are(
     assert turned == pytest.approx(right, rel=1e-4)
 
 
-def test_hints_of_other_frames_or_kinds_are_refused(failing: Callable[..., str], capture: Path) -> None:
+def test_hints_of_other_frames_or_kinds_are_refused(failing: Run, capture: Path) -> None:
     def message(*given: str, frames: str = "[0]") -> str:
         return failing("predict", *words(capture, "out", frames), *given)
 
@@ -154,9 +143,7 @@ def test_hints_of_other_frames_or_kinds_are_refused(failing: Callable[..., str],
     assert "not of windows with poses=" in message(f"hint={capture}/{{frame}}.ply", *posed, frames="null")
 
 
-def test_frames_whose_hints_say_nothing_are_left_out(
-    failing: Callable[..., str], capture: Path, tmp_path: Path
-) -> None:
+def test_frames_whose_hints_say_nothing_are_left_out(failing: Run, capture: Path, tmp_path: Path) -> None:
     """A scan without a point, images without a depth, and depth of another place that fits by no factor."""
     (tmp_path / "hints").mkdir()
     points = np.load(capture / "0.npy")
@@ -164,17 +151,17 @@ def test_frames_whose_hints_say_nothing_are_left_out(
     np.save(tmp_path / "hints/1.npy", np.full((5, 3), np.nan))
     generator = np.random.default_rng(0)
     np.save(tmp_path / "hints/2.npy", points * np.exp(generator.normal(0, 3, (len(points), 1))))
-    for name, depth in depth_images(ring_rig(4, image_size=(20, 20))).items():
+    for name, (depth,) in depth_images(ring_rig(4, image_size=(20, 20))).items():
         for frame in range(2):
             write_pages(tmp_path / f"hints/{name}/{frame}.tiff", [(depth * (1 - frame)).numpy()])
     given = [f"hint={tmp_path}/hints/{{frame}}.npy", "hint_fit=scale"]
-    message = " ".join(failing("predict", *words(capture, "points", "[0,1,2]"), *given).split())
+    message = failing("predict", *words(capture, "points", "[0,1,2]"), *given)
     assert "2 of 3 frames were left out" in message
     assert "hints/1.npy: it has no valid depth" in message
-    message = " ".join(failing("predict", *words(capture, "far", "[0,2]"), *given).split())
+    message = failing("predict", *words(capture, "far", "[0,2]"), *given)
     assert "frame 2, hint: no view of it agrees with the network's own depth" in message
     given = [f"hint={tmp_path}/hints/{{camera}}/{{frame}}.tiff"]
-    message = " ".join(failing("predict", *words(capture, "images", "[0,1]"), *given).split())
+    message = failing("predict", *words(capture, "images", "[0,1]"), *given)
     assert "hints/cam1/1.tiff and those of the other cameras: it has no valid depth" in message
     for name in ("points", "far", "images"):
         assert [path.name for path in (tmp_path / name).glob("*.npz")] == ["0_depth.npz"]

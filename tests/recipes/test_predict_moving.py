@@ -152,12 +152,10 @@ def test_windows_are_the_rigs_that_poses_say(run: Run, capture: Path, tmp_path: 
 
 
 def test_an_image_that_cannot_be_read_takes_its_windows_along(
-    run: Run, capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    failing: Run, capture: Path, tmp_path: Path
 ) -> None:
     (capture / "walk/005.png").write_bytes(b"no image")
-    with pytest.raises(SystemExit):
-        run("predict", *words(capture))
-    assert "2 of 4 frames were left out" in capsys.readouterr().err.replace("\n", " ")
+    assert "2 of 4 frames were left out" in failing("predict", *words(capture))
     assert len(list((tmp_path / "out").glob("*.npz"))) == 2
 
 
@@ -181,22 +179,14 @@ def test_windows_of_a_video_and_of_few_images(capture: Path) -> None:
     assert "in one place" in str(frame.error)
 
 
-def test_too_few_images_and_unknown_poses_are_told(
-    run: Run, capture: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_too_few_images_and_unknown_poses_are_told(failing: Run, capture: Path) -> None:
     with pytest.raises(ArgumentError, match=r"spacing: expected 3 poses 0\.4 m apart"):
         keys(capture, spacing=0.4).open()
-    with pytest.raises(SystemExit):
-        run("predict", *words(capture), "cameras=[cam1]")
-    assert "with poses there is one camera" in capsys.readouterr().err
+    assert "with poses there is one camera" in failing("predict", *words(capture), "cameras=[cam1]")
 
 
 def test_a_rig_that_moves_sees_more_than_one_that_stands(
-    run: Run,
-    drive: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    run: Run, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     compared: list[tuple[list[str], int]] = []
 
@@ -205,9 +195,8 @@ def test_a_rig_that_moves_sees_more_than_one_that_stands(
         return RigTurns.undecided(predictor.rig, "it is not asked for here")
 
     monkeypatch.setattr("sphericalvision.recipes.commands.predict.align_rig", align)
-    run("predict", *of_drive(drive), "align=true", "masks=auto")
+    said = run("predict", *of_drive(drive), "align=true", "masks=auto")
     assert compared == [(TWO.names, 3)]  # of the rig's own frames, as what follows
-    said = " ".join(capsys.readouterr().out.split())
     assert "1 frame(s) have no pose within 20 ms" in said
     assert "mask of cam2: " in said
     assert sorted(mask.stem for mask in (tmp_path / "out/masks").glob("*.png")) == TWO.names
@@ -292,15 +281,14 @@ def test_one_camera_of_a_rig_needs_movement_and_frames_are_those_of_all_cameras(
 
 
 def test_frames_become_one_cloud_which_a_continuation_goes_on_with(
-    run: Run, drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run: Run, drive: Path, tmp_path: Path
 ) -> None:
     words = [*of_drive(drive), "window=2", "outputs=[fused]", "photometric=false"]
-    run("predict", *words)
+    printed = run("predict", *words)
     whole = (tmp_path / "out/fused.ply").read_bytes()
-    assert "points of 3 frame(s), one for each cube of 35.0 cm" in " ".join(capsys.readouterr().out.split())
+    assert "points of 3 frame(s), one for each cube of 35.0 cm" in printed
     run("predict", *words, "output=again", "stop=1")
-    run("predict", *words, "output=again", "skip_existing=true")
-    assert "1 frame(s) are complete in " in " ".join(capsys.readouterr().out.split())
+    assert "1 frame(s) are complete in " in run("predict", *words, "output=again", "skip_existing=true")
     assert (tmp_path / "again/fused.ply").read_bytes() == whole
     with np.load(tmp_path / "again/fused.npz") as state:
         assert state["frames"].tolist() == ["10.204", "10.304", "10.404"]

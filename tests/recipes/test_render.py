@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rendering: what is written is read back, evaluated and trained on; an interrupted set is completed."""
+"""Rendering: what is written is read back and evaluated, an interrupted set is completed; and the demonstration."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 import torch
 
@@ -82,9 +83,7 @@ def test_files_that_cannot_be_read_are_rendered_again(run: Run, tmp_path: Path) 
     "word",
     ["kind=room", "first_seed=7", "height=20", "samples_per_pixel=2", "scale=1.5", "carrier=pole"],
 )
-def test_frames_of_other_settings_are_not_mixed_in(
-    run: Run, failing: Callable[..., str], tmp_path: Path, word: str
-) -> None:
+def test_frames_of_other_settings_are_not_mixed_in(run: Run, failing: Run, tmp_path: Path, word: str) -> None:
     root = tmp_path / "set"
     root.mkdir()
     settings = {
@@ -103,7 +102,7 @@ def test_frames_of_other_settings_are_not_mixed_in(
     assert [path.name for path in root.iterdir()] == ["rendered.yaml"]
 
 
-def test_frames_from_elsewhere_are_not_mixed_with(failing: Callable[..., str], tmp_path: Path) -> None:
+def test_frames_from_elsewhere_are_not_mixed_with(failing: Run, tmp_path: Path) -> None:
     (tmp_path / "set/depth_train_640").mkdir(parents=True)
     (tmp_path / "set/depth_train_640/00001.png").touch()
     assert "no rendered.yaml" in failing("render", "output=set", "num_frames=2", *TINY)
@@ -141,3 +140,20 @@ def test_four_shards_are_one_set(run: Run, tmp_path: Path, release: str) -> None
     (tmp_path / "shards/cam3/00008.png").write_bytes(whole["cam3/00008.png"][:100])
     run("render", *shards)
     assert contents(tmp_path / "shards") == whole
+
+
+def test_the_demonstration_writes_everything(run: Run, tmp_path: Path, weights: Path) -> None:
+    tiny = typed("rig.image_size=[48,48] samples_per_pixel=1 height=32 baseline_scenes=3 device=cpu")
+    printed = run("demo", *tiny, f"checkpoint={weights}", "output=demo")
+    folder = tmp_path / "demo"
+    pictures = typed("depth ground_truth error overview color input_cam1 input_cam2 input_cam3 input_cam4")
+    for name in (*(f"{picture}.png" for picture in pictures), "points.ply", "depth.npz", "metrics.md"):
+        assert (folder / name).stat().st_size > 0, name
+    assert {"index", "depth", "inverse_depth", "directions"} <= set(np.load(folder / "depth.npz"))
+    table = json.loads((folder / "metrics.json").read_text())
+    assert list(table) == ["IcoSweepNet", "constant depth map", "constant depth", "winner-takes-all"]
+    overview = cv2.imread(str(folder / "overview.png")).astype(int)
+    height, width = (size // 8 for size in overview.shape[:2])
+    blocks = overview[: 8 * height, : 8 * width].reshape(8, height, 8, width, 3)
+    assert ((blocks == 255).mean((1, 3, 4)) < 0.8).all()  # no quarter is empty
+    assert printed.strip().splitlines()[-1] == str(folder)

@@ -56,8 +56,7 @@ from tests.recipes.scanned_sets import (
     write_spires,
     write_widedepth,
 )
-from tests.recipes.test_predict_streams import write_video
-from tests.recipes.tiny import TINY_SCENES, TINY_TRAINING, Run, command_after, typed
+from tests.recipes.tiny import TINY_SCENES, TINY_TRAINING, Run, command_after, typed, write_streams
 
 TINY_NETWORK = tuple(word for word in TINY_TRAINING if word not in TINY_SCENES)
 
@@ -135,11 +134,7 @@ def test_widedepth_has_its_choices_and_a_lens_of_ones_own(tmp_path: Path) -> Non
     ],
 )
 def test_published_sets_are_trained_and_evaluated_by_the_commands(
-    write: Callable[[Path], Path],
-    splits: tuple[str, ...],
-    run: Run,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    write: Callable[[Path], Path], splits: tuple[str, ...], run: Run, tmp_path: Path
 ) -> None:
     root = write(tmp_path / "None of it")
     name = write.__name__.removeprefix("write_")
@@ -147,11 +142,9 @@ def test_published_sets_are_trained_and_evaluated_by_the_commands(
     more = (*named, *splits[1:], "data.truth_height=24", "data.num_workers=0")
     words = (f"data={name}", f"data.root={root}", *more)
     one = ("trainer.max_steps=1", "trainer.val_check_interval=1", "callbacks.panels=null")
-    run("train", *TINY_NETWORK, *words, *one, "output=trained")
-    printed = capsys.readouterr().out
+    printed = run("train", *TINY_NETWORK, *words, *one, "output=trained")
     assert (tmp_path / "trained" / "checkpoints" / "best.safetensors").is_file()
-    run("evaluate", *command_after(printed, "Evaluate: ")[1:], "output=out", "device=cpu")
-    printed = capsys.readouterr().out
+    printed = run("evaluate", *command_after(printed, "Evaluate: ")[1:], "output=out", "device=cpu")
     assert (tmp_path / "out" / "metrics.json").is_file()
     assert ("1 of 2 frames were left out" in printed) == (name == "spires")
     assert ("* published" in printed) == (name == "helvipad")
@@ -165,7 +158,7 @@ def test_published_sets_are_trained_and_evaluated_by_the_commands(
 
 @pytest.mark.slow
 def test_a_scan_of_ones_own_beside_its_images_is_evaluated(
-    run: Run, weights: Path, tmp_path: Path, failing: Callable[..., str]
+    run: Run, weights: Path, tmp_path: Path, failing: Run
 ) -> None:
     rig = ring_rig(4, image_size=(32, 32))
     write_own(tmp_path, rig, ("1", "2"))
@@ -198,7 +191,7 @@ def test_scans_lie_beside_image_files_alone(tmp_path: Path, images: str) -> None
     rig = ring_rig(2, image_size=(16, 16))
     write_own(tmp_path, rig, ("1",))
     for name in rig.names:
-        write_video(tmp_path / f"{name}.avi", [np.zeros((16, 16, 3), np.uint8)] * 2)
+        write_streams(tmp_path / f"{name}.avi", [[np.zeros((16, 16, 3), np.uint8)] * 2], "mjpeg")
     write_image(tmp_path / "1.png", torch.zeros(3, 16, 32))
     with pytest.raises(ArgumentError, match="images: scans lie beside image files, one for each camera"):
         own_scans(tmp_path, images=f"{tmp_path}/{images}")

@@ -147,13 +147,10 @@ def test_stages_that_are_done_are_skipped(done: Path, monkeypatch: pytest.Monkey
     train(done)
 
 
-def test_a_stage_without_the_one_before_says_which_file_is_missing(
-    run: Run, tmp_path: Path, capsys: Any
-) -> None:
+def test_a_stage_without_the_one_before_says_which_file_is_missing(failing: Run, tmp_path: Path) -> None:
     write_experiments(tmp_path / "mine")
-    with pytest.raises(SystemExit):
-        run("train", "--config-dir", "mine", "experiment=small/fusion", *WORDS[1:])
-    assert "prior.safetensors" in capsys.readouterr().err
+    words = ("--config-dir", "mine", "experiment=small/fusion", *WORDS[1:])
+    assert "prior.safetensors" in failing("train", *words)
 
 
 def test_samples_larger_than_their_bound_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

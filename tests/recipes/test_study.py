@@ -231,7 +231,7 @@ ONLY = ("models.omnimvs=null", "models.semi_global=null", "models.constant=null"
 
 
 def test_other_words_for_a_training_are_refused_or_redone(
-    run: Run, failing: Callable[..., str], tmp_path: Path, words: tuple[str, ...], trainer: Trainer
+    run: Run, failing: Run, tmp_path: Path, words: tuple[str, ...], trainer: Trainer
 ) -> None:
     run("study", *words, *ONLY)
     changed = (*words, *ONLY, "extra_training=['optimizer.lr=0.5']")
@@ -248,7 +248,7 @@ def test_other_words_for_a_training_are_refused_or_redone(
 
 
 def test_a_training_that_dies_is_told_and_taken_up_again(
-    run: Run, failing: Callable[..., str], tmp_path: Path, words: tuple[str, ...], trainer: Trainer
+    run: Run, failing: Run, tmp_path: Path, words: tuple[str, ...], trainer: Trainer
 ) -> None:
     trainer.error = OSError(errno.ENOSPC, "no space left")
     message = failing("study", *words, *ONLY)

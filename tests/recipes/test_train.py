@@ -170,9 +170,7 @@ def test_weights_of_other_sizes_are_refused_by_what_differs(tmp_path: Path) -> N
         initialize(RefinedSweepNet(5, widths=(4, 4), blocks=1, refining_blocks=1), weights)
 
 
-def test_resuming_another_network_is_refused(
-    failing: Callable[..., str], tiny_training: Words, trained: Any
-) -> None:
+def test_resuming_another_network_is_refused(failing: Run, tiny_training: Words, trained: Any) -> None:
     words = ("model.level=4", f"resume={trained.folder / LAST}", "output=other")
     assert "model.level = 4" in failing("train", *tiny_training, *words)
 
@@ -240,15 +238,14 @@ def test_last_is_written_at_each_validation_and_best_goes_on_without_it(
 
 
 def test_a_finished_training_is_not_overwritten(
-    failing: Callable[..., str], run: Run, tmp_path: Path, tiny_training: Words, capsys: Any
+    failing: Run, run: Run, tmp_path: Path, tiny_training: Words
 ) -> None:
     words = (*tiny_training, "callbacks=none", "logger=none", "output=run")
     run("train", *words, "trainer.max_steps=2")
     before = (tmp_path / "run" / LAST).read_bytes()
     failing("train", *words, "trainer.max_steps=1")
     assert (tmp_path / "run" / LAST).read_bytes() == before
-    run("train", *words, "trainer.max_steps=3", "resume=auto", "seed=1")
-    printed = capsys.readouterr().out
+    printed = run("train", *words, "trainer.max_steps=3", "resume=auto", "seed=1")
     assert "trainer.max_steps was 2, is 3" in printed
     assert " seed was 0, is 1" in printed
     assert stored(tmp_path / "run")["global_step"] == 3

@@ -38,7 +38,8 @@ TINY_BENCHMARK = (
     *typed("samples_per_pixel=1 workers=0 panel_height=20"),
 )
 
-Run = Callable[..., None]
+Run = Callable[..., str]
+"""Runs a command by its name and words; gives what it printed."""
 
 
 def composed(command: str, *words: str) -> DictConfig:
@@ -72,14 +73,17 @@ def write_plated_capture(folder: Path) -> Path:
 
 
 def write_streams(path: Path, videos: Sequence[Sequence[np.ndarray]], codec: str = "mpeg4") -> None:
-    """Videos of five frames a second as streams of one file: MP4, or Matroska with the codec FFV1."""
+    """Videos of five frames a second as streams of one file: MP4, Matroska with the codec FFV1, or AVI with MJPEG."""
     import av
 
-    with av.open(str(path), "w", format="mp4" if codec == "mpeg4" else "matroska") as file:
+    formats = {"mpeg4": ("mp4", "yuv420p"), "ffv1": ("matroska", "bgr0"), "mjpeg": ("avi", "yuvj420p")}
+    container, pixels = formats[codec]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with av.open(str(path), "w", format=container) as file:
         targets: list[Any] = [file.add_stream(codec, rate=5) for _ in videos]
         for target, (first, *_) in zip(targets, videos, strict=True):
             target.height, target.width = first.shape[:2]
-            target.pix_fmt, target.bit_rate = "yuv420p" if codec == "mpeg4" else "bgr0", 8_000_000
+            target.pix_fmt, target.bit_rate = pixels, 8_000_000
         for pictures in zip(*videos, strict=True):
             for target, picture in zip(targets, pictures, strict=True):
                 file.mux(target.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))

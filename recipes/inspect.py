@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a rig is and sees, in numbers and pictures: ``sphericalvision-inspect calibration=capture/config.yaml``."""
+"""Numbers and pictures of a rig: ``sphericalvision-inspect calibration=capture/config.yaml``."""
 
 from sphericalvision.recipes.app.command import Command
 

@@ -195,7 +195,7 @@ def do_work(command: Any, own_files: Path | None, config: DictConfig) -> Any:
 
 
 class ConfigFolders(SearchPathPlugin):
-    """Where else configs are: a folder of the user's, which comes first, and installed packages.
+    """Further folders of configs: one of the user's, which comes first, and installed packages.
 
     Attributes:
         own: the folder of this command line.

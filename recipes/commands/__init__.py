@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each command does once its configuration is read."""
+"""The work of each command, once its configuration is read."""

@@ -218,7 +218,7 @@ class CaptureDataModule(CaptureFields, PreparedSamples):
 
 
 class Disturbed(NamedTuple):
-    """What training makes of the frames of a capture.
+    """Changes of the frames of a capture in training.
 
     Attributes:
         faults: of the cameras, others each time.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What sweep and prior say of samples, computed once and kept: half of what a step of the training would cost."""
+"""Results of sweep and prior for samples, computed once and kept: half the cost of a training step."""
 
 from __future__ import annotations
 

@@ -117,7 +117,7 @@ class TrainingBatches(Sampler[list[int]]):
 
 
 def _begin_worker(number: int) -> None:
-    """Of a process that prepares samples: nothing there has a gradient."""
+    """Switch gradients off in a process that prepares samples."""
     torch.inference_mode().__enter__()
 
 
@@ -264,7 +264,7 @@ class SampleDataModule(pl.LightningDataModule):
         )
 
     def state_dict(self) -> dict[str, int]:
-        """What a resumed run must know: how many training batches were used up."""
+        """Number of training batches that were used up, for a resumed run."""
         assert self.trainer is not None
         per_step = self.trainer.accumulate_grad_batches * self.trainer.world_size
         return {"batches_seen": self.trainer.global_step * per_step}

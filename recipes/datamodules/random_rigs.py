@@ -160,7 +160,7 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
         ]
 
     def rigs(self, size: Sequence[int]) -> LevelOrRandomRigs:
-        """What draws rigs of cameras of a size."""
+        """The distribution of rigs, with cameras of a size."""
         return LevelOrRandomRigs(
             self.world["level_rigs"], (int(size[0]), int(size[1])), tuple(self.num_cameras)
         )

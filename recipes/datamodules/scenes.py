@@ -97,7 +97,7 @@ class RenderedDataModule(DepthDataModule):
         return Augmented(samples, self.augmentation())
 
     def augmentation(self, generator: torch.Generator | None = None) -> Callable[[Sample], Sample]:
-        """What is done at random to training samples. Every subclass implements it."""
+        """Random changes of training samples. Every subclass implements it."""
         raise NotImplementedError(f"{type(self).__name__}.augmentation")
 
     def plain_train_dataset(self) -> Dataset[Sample]:

@@ -41,7 +41,7 @@ class FrameSet(Protocol):
 
     @property
     def key(self) -> Mapping[str, Any]:
-        """What the frames depend on, as JSON has it."""
+        """Settings that the frames depend on, as JSON has them."""
 
     def batches(self, names: Sequence[str]) -> Iterator[tuple[Sequence[str], Batch]]:
         """Some of the frames in batches, each with the names of its frames."""
@@ -162,7 +162,7 @@ class Measure(Protocol):
     otherwise, so that old records are not taken."""
 
     def truth(self, batch: Batch) -> Any:
-        """What is right for a batch, the same for all methods."""
+        """The truth of a batch, the same for all methods."""
 
     def errors(self, answer: Answer, truth: Any) -> Mapping[str, Any]:
         """Errors of each frame: nested dictionaries of tensors ``(B,)``, NaN for frames where nothing counts."""

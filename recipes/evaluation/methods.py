@@ -99,7 +99,7 @@ class Method:
 
     @cached_property
     def identity(self) -> Any:
-        """What its estimates depend on; records of another one do not count."""
+        """Digest of all that its estimates depend on; records of another one do not count."""
         return identity_of(self.net) if self._identity is None else self._identity
 
     @cached_property
@@ -184,7 +184,7 @@ class AsUsed(Method):
 
 
 class Answer:
-    """What a method says of a batch.
+    """Estimates of a method for a batch.
 
     Args:
         net: whose estimate it is.

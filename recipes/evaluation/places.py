@@ -31,7 +31,7 @@ LEAST_CONTRAST = 0.01
 
 
 class FrameTruth:
-    """What is right in a frame and where it counts, the same for all methods.
+    """Truth of a frame and where it counts, the same for all methods.
 
     Args:
         frame: as rendered.
@@ -90,7 +90,7 @@ class PlaceErrors:
         self.key = {"generation": 3, "max_depth": max_depth}
 
     def truth(self, frame: TrackFrame) -> FrameTruth:
-        """What is right in a frame."""
+        """Truth of a frame."""
         return FrameTruth(frame)
 
     def errors(self, answer: Answer, truth: FrameTruth) -> dict[str, Any]:

@@ -21,7 +21,7 @@ ZONE = math.radians(30)
 
 
 class Truth(NamedTuple):
-    """What is right for one batch, the same for all models.
+    """Truth of one batch, the same for all models.
 
     Attributes:
         indices: ``(B, V)`` in the hypotheses of the study, not rounded.

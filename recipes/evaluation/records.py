@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was measured of one method on one set of frames, kept as a file: nothing is measured twice."""
+"""Measurements of one method on one set of frames, kept as a file: nothing is measured twice."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def mean_errors(frames: Iterable[Errors]) -> Errors:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """What ``write_json`` wrote.
+    """Read a file of ``write_json``.
 
     Raises:
         FileFormatError: the file is damaged.

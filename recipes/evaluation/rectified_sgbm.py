@@ -75,7 +75,7 @@ class RectifiedSGBM(DepthNetwork):
         return DepthEstimate(torch.stack(filled), confidence, merged.valid)
 
     def _disparities(self, pair: RectifiedPair, rig: CameraRig, left: Tensor, right: Tensor) -> Tensor:
-        """Of the left images (B, 4, h, w), whose last channel says where they show something; -1 where unknown."""
+        """Disparities of left images (B, 4, h, w), whose last channel is a mask; -1 where unknown."""
         reach = float((pair.rig.positions[0] - rig.center).norm())
         nearest = max(self.min_depth - reach, 0.2 * self.min_depth)  # from the left camera
         most = float(pair.disparity(torch.full(pair.image_size, nearest))[0].max())

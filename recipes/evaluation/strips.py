@@ -78,7 +78,7 @@ def depth_off_center(answer: Answer, frame: int, rays: Tensor, offset: Tensor, s
 
 
 def table_with_published(records: Mapping[str, Record], published: Mapping[str, tuple[float, ...]]) -> Table:
-    """What was measured, and below what was published of others."""
+    """A table of measured errors, and below them those that were published of others."""
 
     def cell(value: float | None) -> Cell | None:
         return None if value is None else Cell(value, digits=3)

@@ -135,7 +135,7 @@ class TrackFrames:
 
     @property
     def key(self) -> dict[str, Any]:
-        """What the frames depend on: track, size, and the network that turns cameras where one does."""
+        """Settings that the frames depend on: track, size, and the network that turns cameras where one does."""
         key = {"track": repr(self.track), "size": asdict(self.size)}
         return key if self.size.preparation == AS_IT_IS else {**key, "aligner": _aligner_identity()}
 
@@ -150,7 +150,7 @@ class TrackFrames:
 
 
 def _rendered(name: str, cache: Path | None, frame: WorldFrame) -> Mapping[str, Tensor]:
-    """What the cameras show, by way of bytes, as cameras give them."""
+    """Images of the cameras, rounded to bytes as cameras give them."""
     numbers = (__version__, frame.world.samples_per_pixel, NATURAL_MIN_DEPTH)
     folder = None if cache is None else cache / f"benchmark-{rig_fingerprint(frame.true_rig, numbers)}"
 

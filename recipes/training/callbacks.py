@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happens during training: pictures of the validation set, progress, and regular checkpoints."""
+"""Callbacks of training: pictures of the validation set, progress, and regular checkpoints."""
 
 from __future__ import annotations
 
@@ -181,7 +181,7 @@ class TrainingBar(RichProgressBar):
     _loss: dict[str, float] = {}  # noqa: RUF012 (replaced, not changed)
 
     def get_metrics(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> dict[str, Any]:
-        """What Lightning's bar shows, and the loss."""
+        """Values of Lightning's bar, and the loss."""
         loss = trainer.callback_metrics.get("train/loss")
         if loss is not None and (not self._loss or trainer.global_step % 10 == 0):
             self._loss = {"train/loss": float(loss)}

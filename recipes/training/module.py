@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the training of all networks shares: optimiser, schedule, seeds, and what checkpoints say."""
+"""Training that all networks share: optimiser, schedule, seeds, and contents of checkpoints."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ class OrientationModule(TrainingModule):
         raise NotImplementedError(f"{type(self).__name__}.score")
 
     def percent(self, score: Metric) -> Tensor:
-        """What is logged of a metric."""
+        """The value of a metric that is logged."""
         return 100 * cast(Tensor, score.compute())
 
     def forward(self, values: Tensor) -> Tensor:

@@ -49,7 +49,7 @@ class Stage(NamedTuple):
 
     @property
     def gigabytes(self) -> float:
-        """Of what it renders and keeps at most."""
+        """Size of the samples that it renders and keeps, at most."""
         data = build(self.config.data, "data")
         data.bind_network(build(self.config.model, "model"))
         return float(getattr(data, "cache_bytes", 0) / 1e9)
@@ -142,7 +142,7 @@ def note(stage: Stage, seconds: float, folder: Path) -> None:
 
 
 def errors_of(stage: Stage) -> dict[str, dict[str, float]]:
-    """What was validated at its end."""
+    """Errors that were validated at its end."""
     path = Path(stage.config.output) / "validation.json"
     errors: dict[str, dict[str, float]] = {}
     if path.is_file():

@@ -506,6 +506,8 @@ net()(torch.zeros(1, 3, 3, 2562), rig().subset([0, 1, 2])) -> images: Shape
 net()(torch.zeros(1, 4, 3, 2562), None) -> rig: ArgumentType
 net()(torch.zeros(1, 4, 3, 2562), ring_rig(3)) -> features: Shape
 pretrained('resnet') -> name: Argument
+save_weights(net(), 'net.pth') -> path: Argument
+save_weights(net(), 'net.safetensors', bits=12) -> bits: Argument
 ConstantDepth(3, 8, 0.5).fit(torch.ones(1, 1), torch.zeros(1, 1) > 0) -> inverse_depth: Argument
 IcoSweepNet(3, feature_coarsening=3) -> coarsening: Argument
 IcoSweepNet(3, volume_channels=0) -> feature_channels, volume_channels: Argument
@@ -598,6 +600,8 @@ truth_from_points(torch.ones(3, 3), ico(), gap=-1.0) -> gap: Argument
 make_scene('room', seed='a') -> seed: ArgumentType
 make_scene('moon') -> kind: Argument
 make_scene(scale=0.0) -> scale: Argument
+MeshScene(None, up='x') -> up: Argument
+MeshScene(None, scale=0.0) -> scale: Argument
 make_scene(clear_radius=2.0) -> clear_radius: Argument
 render_rig(None, rig()) -> scene: ArgumentType
 render_rig(make_scene('bare'), camera()) -> rig: ArgumentType
@@ -653,6 +657,10 @@ sees(blank() | {'left': IMAGE}) -> images: Argument
 sees(blank() | {'cam3': torch.zeros(1, 3, 24, 24)}) -> images: Shape
 sees(pictures(torch.zeros(24, 24, dtype=torch.int64))) -> images['cam1']: Argument
 Predictor(rig().subset([0, 1, 2]), net()) -> rig: Argument
+Charuco(6, 4, 0.03, 0.04) -> marker: Argument
+Charuco(20, 20, 0.04, 0.03) -> dictionary: Argument
+Checkerboard(2, 5, 0.04) -> columns, rows: Argument
+sees(blank()).points(voxel=0.0) -> voxel: Argument
 sees(blank()).camera('cam9') -> camera: Argument
 sees(blank()).camera('cam2', torch.eye(4)) -> world_from_camera: Argument
 sees(blank()).camera(camera(), 1000 * torch.eye(4)) -> world_from_camera: Argument

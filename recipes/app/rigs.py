@@ -80,6 +80,8 @@ def make_corner_rig(
         >>> rig = make_corner_rig()
         >>> rig.positions[0].tolist()  # the camera in front, to the right
         [0.2199999988079071, 0.0, 0.30000001192092896]
+        >>> rig.axes[0]  # looks to the right, down and forward
+        tensor([0.5417, 0.6428, 0.5417])
     """
     size = (int(image_size[0]), int(image_size[1]))
     lens = FisheyeCamera.from_field_of_view(size, math.radians(field_of_view_deg))

@@ -310,6 +310,8 @@ def test_a_smaller_angle_is_fitted_better() -> None:
     whole, middle = (convert(lens, to=PinholeCamera, max_angle=math.radians(a)) for a in (70, 30))
     assert middle.max_error < 0.2 * whole.max_error
     assert math.degrees(middle.covered_angle) == pytest.approx(30)
+    beyond = convert(lens, to=KannalaBrandtCamera, max_angle=3.0)  # no farther than the lens looks
+    assert beyond.covered_angle == pytest.approx(float(lens.max_angle))
 
 
 def test_cropped_cameras_convert_where_they_look() -> None:

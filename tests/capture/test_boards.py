@@ -12,7 +12,7 @@ import torch
 
 from sphericalvision.cameras import FisheyeCamera
 from sphericalvision.capture import AprilGrid, Charuco, Checkerboard, read_board
-from sphericalvision.core import ArgumentError, FileFormatError
+from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import transform_from_axis_angle, transform_points
 from tests.recipes.board_pictures import AnyBoard, Drawing, Eye
 
@@ -116,12 +116,3 @@ def test_what_is_wrong_with_a_target_file_is_named(
     with pytest.raises(FileFormatError) as error:
         read_board(path)
     assert all(word in str(error.value) for word in ("target.yaml", *words))
-
-
-def test_boards_that_cannot_be_are_refused() -> None:
-    with pytest.raises(ArgumentError, match="marker"):
-        Charuco(6, 4, 0.03, 0.04)
-    with pytest.raises(ArgumentError, match="dictionary"):
-        Charuco(20, 20, 0.04, 0.03)
-    with pytest.raises(ArgumentError, match="3 inner corners"):
-        Checkerboard(2, 5, 0.04)

@@ -123,6 +123,21 @@ def test_colours_are_those_of_the_first_frame_of_all_runs(tmp_path: Path) -> Non
     assert fresh.results.near is None
 
 
+@pytest.mark.parametrize("output", ["panorama", "panorama_video"])
+def test_seams_are_at_the_depth_of_what_two_cameras_see(output: str, tmp_path: Path) -> None:
+    """The median of the first frame; a guess elsewhere has no part in it."""
+    outputs, depth = outputs_of(tmp_path, output), depth_of()
+    seen = depth.directions[:, 0] > 0.3
+    for factor in (1.0, 2.0):
+        index = (factor * depth.index).where(seen, 0.1)
+        outputs.write(
+            str(factor), Depth(index, depth.confidence, seen, depth.network, depth.rig, depth.images)
+        )
+    (told,) = (sentence for sentence in outputs.described() if "seams" in sentence)
+    assert f"{float(depth.depth.median()):.2f} m" in told
+    outputs.close()
+
+
 HOSTILE = ["../../out", "/etc/x", "..", "a\\..\\b", "~", "x\0y"]
 
 

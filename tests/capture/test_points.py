@@ -11,7 +11,6 @@ import torch
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture.points import grid_faces, grid_mesh, hangs_between, surface_normals
-from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.surfaces import distance_along
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Equirectangular
@@ -111,8 +110,6 @@ def test_a_voxel_keeps_one_point() -> None:
     assert len(cloud.points) == len(cubes) < len(depth.index)
     torch.testing.assert_close(cloud.normals.norm(dim=-1), torch.ones(len(cloud.points)))
     assert cloud.points.norm(dim=-1).min() > 1.7
-    with pytest.raises(ArgumentError, match="voxel"):
-        depth.points(voxel=0.0)
 
 
 def test_triangles_across_an_edge_of_depth_hardly_turn_normals() -> None:

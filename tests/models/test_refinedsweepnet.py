@@ -17,8 +17,15 @@ from sphericalvision.icosphere.hierarchy import icosphere_vertex_parents
 from sphericalvision.kernels import kernels
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import IcoSweepNet, RefinedSweepNet, pretrained
-from sphericalvision.models.candidate_refinement import RARE, CandidateRefinement, Candidates, candidates_of
+from sphericalvision.models.candidate_refinement import (
+    RARE,
+    CandidateRefinement,
+    Candidates,
+    candidates_of,
+    finer_logits,
+)
 from sphericalvision.models.hexunet import HexUNet
+from sphericalvision.models.hint_gate import HintedIndex, HintGate, agreement
 from sphericalvision.models.logit_fusion import FusedLogits
 from sphericalvision.models.refinedsweepnet import FARTHEST
 from sphericalvision.models.tried_hypotheses import two_modes
@@ -176,6 +183,17 @@ def test_learns_and_leaves_the_prior_alone(net, frame):
     )  # a wrong one teaches nothing
     net.training_loss(images, rig, seen, true, valid, depth_index_huber, hint).backward()
     assert all(p.grad is not None and p.grad.any() for p in net.parameters() if p.requires_grad)
+
+
+def test_what_is_not_known_teaches_nothing(net, frame):
+    """Neither surfaces nor sky, which is where the index is 0."""
+    images, rig, seen, true = frame
+    valid = Icosphere(LEVEL).vertices[:, 0] > 0
+    losses = [
+        net.training_loss(images, rig, seen, true.where(valid, other), valid[None], depth_index_huber)
+        for other in (0.0, 9.0)
+    ]
+    assert torch.equal(*losses)
 
 
 def test_prior_learns_where_it_is_told_to(net, frame):
@@ -350,6 +368,11 @@ def test_cameras_agree_at_the_true_depth(frame):
     assert right < 0.7 * near
     assert color.abs().max() <= 1 + 1e-5
     assert cameras.max() <= 4
+    scattered = torch.rand(seen.shape, generator=torch.Generator().manual_seed(0)) < 0.5
+    color, _, cameras = appearance_at_depth(torch.full_like(images, 0.7), scattered, offsets, tried)
+    known = (cameras > 0)[:, :, None].expand_as(color)  # by most of what is interpolated
+    assert 0.1 < known.float().mean() < 1
+    torch.testing.assert_close(color, 0.7 * known)
 
 
 def test_around_the_chosen_vertices_cameras_agree_at_the_true_depth(frame):
@@ -412,8 +435,30 @@ def test_unet_keeps_levels_apart_at_first():
     assert HexUNet((4, 6, 8))(values).shape == values.shape
 
 
+def test_a_finer_level_begins_near_the_chosen_index_and_forbids_nothing():
+    """What is two hypotheses away or more costs the same."""
+    finer = finer_logits(
+        FusedLogits(torch.zeros(1, 31, 42), torch.zeros(1, 2, 42)), torch.full((1, 162), 4.0)
+    )
+    expected = -2 * (torch.arange(31) / 2 - 4).abs().clamp(max=2)
+    torch.testing.assert_close(finer.logits[0] - finer.logits[0, 8], expected[:, None].expand(31, 162))
+
+
+def test_a_hint_is_compared_where_two_cameras_look_and_near_things_roughly():
+    answer, ones = torch.linspace(0, 15, 400)[None], torch.ones(1, 400)
+    hint, compared = HintedIndex(answer + 1.4, ones), answer < 5
+    assert agreement(hint, answer, 1.0 * (answer > 8), 31).item() == pytest.approx(1, abs=0.1)
+    assert agreement(hint, answer, 1.0 * compared, 31).item() < 0.1
+    clues = torch.ones(1, 6, 400)
+    clues[:, 2] = torch.where(compared, 0.2, 9.0)  # costs of the hint, below and above those of any depth
+    for here, trust in ((compared, 1.0), (~compared, 0.0)):
+        assert HintGate.trust(hint, clues, torch.zeros(1, 31, 400), here).item() == trust
+
+
 def test_hints_of_numpy_are_those_in_single_precision(net, frame):
     images, rig, seen, true = frame
+    nearest = net.hints(DepthHint(torch.full_like(true, 99.0), torch.ones_like(true)))
+    assert all((level.index == 15).all() for level in nearest)  # nearer than any hypothesis
     hint = DepthHint(inverse_depth_from_index(true, 16, 0.55), torch.ones_like(true))
     found = net.predict(images, rig, seen, DepthHint(*(values.double() for values in hint)))
     torch.testing.assert_close(found, net.predict(images, rig, seen, hint), rtol=0, atol=0)

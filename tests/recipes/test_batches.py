@@ -292,7 +292,7 @@ def test_rigs_of_other_numbers_of_cameras_are_refused() -> None:
 def test_tables_are_those_of_the_rig_and_made_once() -> None:
     net = IcoSweepNet(level=3, num_hypotheses=4, min_depth=0.5, feature_channels=2, num_cameras=2)
     tables = RigTables(net, capacity=2)
-    rigs = [ring_rig(2), ring_rig(2, radius=0.1), ring_rig(2, field_of_view=math.pi)]
+    rigs = [ring_rig(2), ring_rig(2, radius=0.201), ring_rig(2, field_of_view=math.pi)]
     first = tables.of(rigs[0])
     for rig in rigs:
         for mine, fresh in zip(tables.of(rig), net.tables(rig), strict=True):

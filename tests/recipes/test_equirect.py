@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
@@ -14,11 +17,13 @@ from sphericalvision.cameras import EquirectangularCamera
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import OmniStereoDataset, collate_samples
 from sphericalvision.io.images import read_image
-from sphericalvision.models import DepthNetwork, OmniMVS, load_weights, save_weights
+from sphericalvision.models import DepthNetwork, IcoSweepNet, OmniMVS, load_weights, save_weights
 from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.datamodules.entries import images_of, truth_of
 from sphericalvision.recipes.datamodules.scenes import SceneDataModule
+from sphericalvision.recipes.training.callbacks import DepthPanels
+from sphericalvision.recipes.training.depth_module import DepthModule
 from tests.documented import blocks
 from tests.recipes.tiny import TINY_SCENES, Run, command_after, composed, typed
 
@@ -158,6 +163,17 @@ def test_a_training_draws_panels_and_its_best_is_evaluated(
     run("evaluate", *command_after(printed, "Evaluate: ")[1:], "output=table", "device=cpu")
     (row,) = json.loads((tmp_path / "table/metrics.json").read_text()).values()
     assert 0 < row["MAE"] < 100
+
+
+def test_panels_show_no_truth_where_none_is_known() -> None:
+    net = IcoSweepNet(3, 4, feature_channels=2)
+    module = SimpleNamespace(net=net)
+    module.panorama = functools.partial(DepthModule.panorama, module)
+    index = 3 * torch.rand(2, net.grid.num_vertices)
+    known = torch.tensor([[True], [False]]).expand_as(index)
+    panel = DepthPanels("panels", height=8).panel(module, index, index.flip(-1), known)
+    one, other = panel.reshape(3, 8, 2, 16, 3).transpose(2, 0, 1, 3, 4).reshape(2, 3, 128, 3)
+    assert [len(np.unique(rows, axis=0)) > 1 for rows in (*one, *other)] == [True] * 4 + [False] * 2
 
 
 def test_networks_are_not_mixed_up(

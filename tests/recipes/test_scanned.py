@@ -38,7 +38,7 @@ from sphericalvision.data.scanned.scanned_frames import ScannedFrames
 from sphericalvision.data.scanned.spires import SpiresDataset
 from sphericalvision.data.scanned.widedepth import WideDepthDataset
 from sphericalvision.io.images import write_image, write_pages
-from sphericalvision.recipes.datamodules.scanned import OwnScansDataModule
+from sphericalvision.recipes.datamodules.scanned import HelvipadDataModule, OwnScansDataModule
 from sphericalvision.scenes import Scene, ray_depth, render_rig
 from sphericalvision.sphere import Equirectangular
 from tests.recipes.scanned_sets import (
@@ -89,6 +89,11 @@ def test_every_layout_gives_the_truth_that_was_rendered(tmp_path: Path) -> None:
         for name, image in sample["images"].items():
             seen = sample["seen"][name]
             assert (image - rendered[name]).abs().mean(0)[seen].median() < 0.03, (frames, name)
+    learned, judged = (
+        HelvipadDataModule(root=str(helvipad.root), augmented=True).frames(split, 32, dict)
+        for split in ("train", "test")
+    )
+    assert len(learned.points(learned.names[0])) > len(judged.points(judged.names[0]))
     assert OmniPusDataset(omnipus.root, "train").names == ["omnipusa/omnipusA_case2/000000"]
     assert "1 of 2 frames were left out" in spires.left_out[0]
     assert "the first, 002_010_000, lacks 002_010_000/195FOV/65mm/DOWN/fisheye.png" in widedepth.left_out[0]

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from sphericalvision.cameras import FisheyeCamera, ring_rig
+from sphericalvision.cameras import EquirectangularCamera, FisheyeCamera, ring_rig
 from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.recipes.app.rigs import make_corner_rig
@@ -144,8 +144,10 @@ def test_disturbances_that_are_unknown_or_have_a_name_that_is_taken_are_refused(
 def test_random_rigs_stay_in_their_bounds() -> None:
     rigs = [random_rig(seeded(seed), image_size=(16, 16)) for seed in range(60)]
     assert {len(rig) for rig in rigs} == {2, 3, 4, 5, 6}
-    assert 3 <= sum(type(rig.cameras["cam1"]).__name__ == "EquirectangularCamera" for rig in rigs) <= 24
+    assert 3 <= sum(isinstance(rig.cameras["cam1"], EquirectangularCamera) for rig in rigs) <= 24
     for rig in rigs:
+        if isinstance(camera := rig.cameras["cam1"], EquirectangularCamera):  # pixels as those of 220° lenses
+            assert camera.image_size[0] == pytest.approx(180 * 16 / 220, abs=1)
         assert rig.center.norm() < 1e-6
         assert (rig.positions.norm(dim=-1) < 0.45).all()
         assert (rig.axes[:, 1] > math.sin(math.radians(-23.1))).all()
@@ -174,6 +176,7 @@ def test_a_carrier_is_where_masks_say(kind: str) -> None:
         assert changed[hidden].float().mean() > 0.5
         assert changed[masks[name]].float().mean() < 0.05  # shadows may fall
     assert (carried.body.distance_from(rig.positions[0]) > 0).all()
+    assert (carried.body.distance_from(torch.tensor([0.0, 1.5, 0.0])) > 0.4).all()  # no floor is so near
     up = Icosphere(3).vertices
     up = up[up[:, 1] < -0.5]
     torch.testing.assert_close(

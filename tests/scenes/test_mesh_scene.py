@@ -20,7 +20,7 @@ trimesh = pytest.importorskip("trimesh")
 Image = pytest.importorskip("PIL.Image")
 
 from sphericalvision.cameras import EquirectangularCamera  # noqa: E402
-from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError  # noqa: E402
+from sphericalvision.core import FileFormatError, MissingFileError  # noqa: E402
 from sphericalvision.scenes import (  # noqa: E402
     MeshScene,
     ray_depth,
@@ -170,12 +170,6 @@ def test_what_is_no_mesh_is_refused_by_name(name: str, content: bytes | None, tm
         (tmp_path / name).write_bytes(content)
     with pytest.raises(MissingFileError if content is None else FileFormatError, match=name):
         read_mesh_scene(tmp_path / name)
-
-
-@pytest.mark.parametrize("wrong", [{"up": "x"}, {"scale": 0.0}])
-def test_other_axes_and_scales_are_refused(wrong: dict[str, Any]) -> None:
-    with pytest.raises(ArgumentError, match=next(iter(wrong))):
-        MeshScene(quad(), **wrong)
 
 
 def quad_with_texture(folder: Path, named: str) -> Path:

@@ -105,17 +105,6 @@ def test_what_is_interpolated_from_unseen_vertices_is_not_seen(generator: torch.
     assert there[:, 2].sum() < tables[2].sum()
 
 
-def test_is_differentiable_in_the_images(generator: torch.Generator) -> None:
-    tables = tables_of(all_around(3), level=0, number=2, feature_level=1)
-    images = torch.randn(1, 3, 1, 42, generator=generator, dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(
-        lambda x: correlation_evidence(x, tables, noise=0.1)[:, 0], images, fast_mode=True
-    )
-    correlation_evidence(images, tables, noise=0.1)[:, 1].sum().backward()
-    assert images.grad is not None
-    assert images.grad.abs().sum() > 0
-
-
 @pytest.mark.parametrize("length", [1, 2, 3, 6, 10, 15])
 def test_better_half_against_sorting(length: int, generator: torch.Generator) -> None:
     values = torch.rand(length, 50, generator=generator)

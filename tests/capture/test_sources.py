@@ -232,6 +232,17 @@ def test_the_first_clock_that_tells_counts_and_it_is_said_which(
     assert len(alone.frames) == 4
 
 
+def test_a_clock_by_which_two_cameras_never_run_together_does_not_tell() -> None:
+    """Whatever others span: one ends before another begins."""
+    starts = {"left": (0.0, 30.0), "right": (5.0, 1.0), "top": (20.0, 1.0)}
+    images = {camera: {str(number): number for number in range(4)} for camera in starts}
+    doubtful = {
+        camera: times(*(start + step * k for k in range(4))) for camera, (start, step) in starts.items()
+    }
+    good = Clock("good", dict.fromkeys(images, times(1.0, 2.0, 3.0, 4.0)))
+    assert pair_moments(images, [Clock("doubtful", doubtful), good]).clock == 1
+
+
 def test_a_lost_stamp_loses_its_image_alone() -> None:
     images = {camera: {str(number): number for number in range(20)} for camera in ("left", "right")}
     whole = times(*map(float, range(20)))
@@ -367,8 +378,10 @@ def test_a_video_cut_short_is_told(tmp_path: Path) -> None:
         content = (tmp_path / name).read_bytes()
         cut = tmp_path / name.replace("whole", "cut")
         cut.write_bytes(content[: len(content) * 6 // 10])
-        frames = list(opened(str(tmp_path / name), one)[0].frames(Selection(), lambda _: True))
+        source, told = opened(str(tmp_path / name), one)
+        frames = source.frames(Selection(), lambda _: True)
         assert [frame.images is not None for frame in frames] == [True] * 10
+        assert told == []
         source, told = opened(str(cut), one)
         frames = list(source.frames(Selection(), lambda _: True))
         if name.endswith(".mkv"):

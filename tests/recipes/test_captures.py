@@ -79,7 +79,7 @@ LAYOUTS = {  # names of the cameras, and the folders of their images
 }
 
 
-@pytest.mark.parametrize("source", ["{camera}/{frame}.png", "{camera}.png", "folder"])
+@pytest.mark.parametrize("source", ["{camera}/{frame}.png", "{camera}.png", "folder", "masks"])
 @pytest.mark.parametrize(("names", "folders"), LAYOUTS.values(), ids=LAYOUTS)
 def test_a_camera_has_the_same_files_whether_all_are_used_or_some(
     tmp_path: Path, names: list[str], folders: list[str], source: str
@@ -89,10 +89,13 @@ def test_a_camera_has_the_same_files_whether_all_are_used_or_some(
     rig = CameraRig(dict(zip(names, rig.cameras.values(), strict=True)), rig.world_from_camera)
     for place, folder in enumerate(folders):
         file = tmp_path / (f"{folder}.png" if source == "{camera}.png" else f"{folder}/0001.png")
-        write_image(file, torch.full((3, 16, 16), place / 4))
+        write_image(file, torch.full((3, 16, 16), 1.0 if source == "masks" else place / 4))
     images = str(tmp_path if source == "folder" else tmp_path / source)
 
     def files(cameras: list[str] | None) -> dict[str, Path]:
+        if source == "masks":
+            _, masks = rig_with_masks(rig, f"{tmp_path}/{{camera}}/0001.png", cameras)
+            return dict(zip(cameras or names, masks, strict=True))
         (files,) = open_source(images, rig, cameras=cameras).moments.values()
         return files
 

@@ -297,26 +297,24 @@ def aligned_rig(
         placement: ``(4, 4)``, from the frame of the calibration to that of the rig.
     """
     path = folder / ALIGNED
-    if goes_on:
-        if not path.is_file():
+    if not goes_on:
+        path.unlink(missing_ok=True)
+        if not predictor.preparation.judges(source.rig):
             return None
-        turned = placed(read_rig(path), placement)
-        return source.rig.replaced(world_from_camera=turned.world_from_camera, origin=turned.origin)
-    path.unlink(missing_ok=True)
-    if not predictor.preparation.judges(source.rig):
+        if predictor.rig.names != source.rig.names:  # of windows
+            predictor = predictor.with_changes(source.rig)
+        start = time.perf_counter()
+        with console.status("comparing frames with the calibration"):
+            verdict = align_rig(predictor, (f.images for f in source.samples() if f.images is not None))
+        say(f"preparation {verdict.described()} ({time.perf_counter() - start:.1f} s)")
+        if verdict.turned:
+            folder.mkdir(parents=True, exist_ok=True)
+            save_rig(placed(verdict.rig.to("cpu"), torch.linalg.inv(placement)), path)
+    if not path.is_file():
         return None
-    if predictor.rig.names != source.rig.names:  # of windows
-        predictor = predictor.with_changes(source.rig)
-    start = time.perf_counter()
-    with console.status("comparing frames with the calibration"):
-        verdict = align_rig(predictor, (f.images for f in source.samples() if f.images is not None))
-    say(f"preparation {verdict.described()} ({time.perf_counter() - start:.1f} s)")
-    if not verdict.turned:
-        return None
-    rig = verdict.rig.to("cpu")
-    folder.mkdir(parents=True, exist_ok=True)
-    save_rig(placed(rig, torch.linalg.inv(placement)), path)
-    return rig
+    # The first run takes it from the file as well: placed there and back it differs in the last digits.
+    turned = placed(read_rig(path), placement)
+    return source.rig.replaced(world_from_camera=turned.world_from_camera, origin=turned.origin)
 
 
 def hints_of(

@@ -28,6 +28,8 @@ from sphericalvision.capture.outputs import Outputs
 from sphericalvision.capture.points import SurfacePoints
 from sphericalvision.capture.result import DepthImage
 from sphericalvision.capture.result_folder import Settings
+from sphericalvision.capture.splat import SplatScene
+from sphericalvision.capture.writers import in_world
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.sphere import Equirectangular
 from tests.worlds import ball
@@ -189,3 +191,9 @@ def test_what_is_written_is_in_the_far_world(place: str, tmp_path: Path) -> None
     np.testing.assert_allclose(stored["center"], center, rtol=0, atol=1e-5)
     for path in tmp_path.rglob("*.glb"):
         assert np.abs(trimesh.load(path).bounds).max() < 10 * radius, path
+    scene = SplatScene(tmp_path / "splat")  # of which trainers take float32: all of it is near its own origin
+    scene.add("0", depth)
+    scene.close(in_world(depth.points(), rig.origin))
+    cameras = read_rig(tmp_path / "splat/pinhole/transforms.json").positions.numpy()
+    points = trimesh.load(tmp_path / "splat/pinhole/points3D.ply").vertices
+    assert np.abs(points.mean(0) - cameras.mean(0)).max() < 0.5 * radius

@@ -252,7 +252,7 @@ def test_planes_so_steep_that_depth_hangs_on_the_pixel_are_not_told() -> None:
 
 
 class BehindTheRig(ScannedFrames):
-    """One frame, whose points the second camera alone sees."""
+    """One frame, whose points, 3 cm off as of a LiDAR, the second camera alone sees."""
 
     def __init__(self, root: Path) -> None:
         super().__init__(root, height=16)
@@ -265,10 +265,11 @@ class BehindTheRig(ScannedFrames):
     def points(self, name: str) -> torch.Tensor:
         axis = self.fixed_rig.axes[1]
         rays = Icosphere(5).vertices
-        return 3 * rays[rays @ axis > 0.5]
+        rays = rays[rays @ axis > 0.5]
+        return (3 + 0.03 * torch.randn(len(rays), 1, generator=torch.Generator().manual_seed(0))) * rays
 
 
 @pytest.mark.filterwarnings("error")
 def test_points_that_any_camera_sees_are_in_the_frame_of_the_rig(tmp_path: Path) -> None:
     sample = BehindTheRig(tmp_path)[0]
-    assert 0.1 < sample["valid"].float().mean() < 0.5
+    assert 0.12 < sample["valid"].float().mean() < 0.5  # half as many if no noise was expected

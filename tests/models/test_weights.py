@@ -92,6 +92,10 @@ WEIGHT = "features.last.weight"
 STEPS = WEIGHT + weight_files.STEP
 
 
+def a_step(state: dict[str, Tensor]) -> str:
+    return next(name for name in state if name.endswith(weight_files.STEP))
+
+
 def with_hyper_parameter(name: str, value: object) -> Callable[[dict[str, str], object], None]:
     def change(metadata: dict[str, str], _: object) -> None:
         metadata["hyperparameters"] = json.dumps(json.loads(metadata["hyperparameters"]) | {name: value})
@@ -109,8 +113,8 @@ BROKEN: dict[str, tuple[int, Callable[[Any, Any], object], str]] = {
     "a level's type": (32, with_hyper_parameter("level", "deep"), "level: expected an integer"),
     "hypotheses": (32, with_hyper_parameter("num_hypotheses", -1), "num_hypotheses"),
     "a hyper-parameter": (32, with_hyper_parameter("odd", 1), "odd"),
-    "other steps": (8, lambda _, x: x.update({STEPS: x[STEPS][:3]}), rf"{STEPS}' has shape \(3, .*expected"),
-    "no steps": (8, lambda _, x: x.pop(STEPS), "holds torch.int8, expected torch.float32"),
+    "other steps": (8, lambda _, x: x.update({(s := a_step(x)): x[s][:3]}), r"step' has shape \(3, .*expected"),
+    "no steps": (8, lambda _, x: x.pop(a_step(x)), "holds torch.int8, expected torch.float32"),
     "steps of nothing": (8, lambda _, x: x.update({"odd.step": torch.ones(3)}), "step"),
     "steps of nothing, of floats": (32, lambda _, x: x.update({"odd.step": torch.ones(3)}), "step"),
     **{

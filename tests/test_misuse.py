@@ -644,6 +644,9 @@ coverage_panorama(CameraRig.stack([rig(), rig()])) -> rig: Argument
 Predictor(rig().subset(['cam1']), min_depth=0.5) -> rig: Argument
 Predictor(CameraRig([camera()] * 2, EYES.repeat(2, 1, 1)), min_depth=0.5) -> rig: Argument
 Predictor(camera()) -> rig: ArgumentType
+Predictor(rig(), min_depth='near') -> min_depth: Argument
+Predictor(rig(), min_depth=True) -> min_depth: Argument
+Predictor(rig(), min_depth=NAN) -> min_depth: Argument
 Predictor(rig(), method='semi_global', level=50) -> level: Argument
 Predictor(rig(), device='gpu') -> device: Argument
 Predictor(rig(), method='magic') -> method: Argument
@@ -652,6 +655,7 @@ sees(pictures('a.png')) -> images['cam1']: Argument
 sees({'cam1': torch.zeros(3, 24, 24)}) -> images: Argument
 sees(pictures(torch.zeros(3, 5, 24))) -> images['cam1']: Shape
 sees(pictures(torch.full((3, 24, 24), 200.0))) -> images['cam1']: Argument
+ToSphere(2).images(pictures(torch.full((3, 24, 24), 200.0)), rig()) -> images: Argument
 sees(pictures(torch.full((3, 24, 24), NAN))) -> images['cam1']: Argument
 sees(blank() | {'left': IMAGE}) -> images: Argument
 sees(blank() | {'cam3': torch.zeros(1, 3, 24, 24)}) -> images: Shape

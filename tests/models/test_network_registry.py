@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import stat
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +16,6 @@ from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import (
-    DepthNetwork,
     IcoSweepNet,
     OmniMVS,
     load_weights,
@@ -132,10 +130,3 @@ def test_networks_without_a_name_cannot_be_written_until_registered(install: Any
         register_network("mine", OmniMVS)
     with pytest.raises(ArgumentError, match="expected a subclass of DepthNetwork"):
         register_network("module", torch.nn.Linear)  # type: ignore[arg-type]
-
-
-def test_files_may_be_read_by_others(tmp_path: Path) -> None:
-    net: DepthNetwork = IcoSweepNet(3, 4, feature_channels=1)
-    path = save_weights(net, tmp_path / "net.safetensors")
-    (tmp_path / "plain").touch()
-    assert stat.S_IMODE(path.stat().st_mode) == stat.S_IMODE((tmp_path / "plain").stat().st_mode)

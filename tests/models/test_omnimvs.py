@@ -4,21 +4,17 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from safetensors.torch import save_file
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import (
     OmniMVS,
-    load_weights,
 )
 from sphericalvision.models.omnimvs_parts import (
     CostHourglass,
@@ -232,13 +228,6 @@ def test_index_at_other_directions(generator: torch.Generator) -> None:
     values, inside = net.index_at(index, directions.flatten(0, 1))
     assert torch.equal(inside.view(16, 32).all(1), (torch.arange(16) >= 4) & (torch.arange(16) < 12))
     torch.testing.assert_close(values[:, inside].view(2, 8, 32), index, rtol=0, atol=1e-4)
-
-
-def test_a_file_of_another_network_is_told_by_its_format(tmp_path: Path) -> None:
-    path = tmp_path / "foreign.safetensors"
-    save_file({"weight": torch.zeros(1)}, path, {"format": "pt"})
-    with pytest.raises(FileFormatError, match="'pt', expected sphericalvision- and the name of a network"):
-        load_weights(path)
 
 
 def test_the_hourglass_doubles_the_volume() -> None:

@@ -216,6 +216,10 @@ CameraRig([camera()], EYES, {'cam1': np.ones(SIZE)}) -> masks['cam1']: ArgumentT
 CameraRig([camera()], EYES, {'cam1': torch.ones(SIZE)}) -> masks['cam1']: Argument
 CameraRig([camera()], EYES, {'x': torch.ones(SIZE)}) -> masks: Argument
 rig().subset(['front']) -> cameras: Argument
+rig().resized({'front': (20, 24)}) -> image_size: Argument
+CameraRig([camera()], EYES, around=['cam5']) -> around: Argument
+CameraRig.stack([rig(), CameraRig(rig().cameras, rig().world_from_camera, around=['cam1'])]) -> rigs: Argument
+Trajectory(['a', 'b'], EYES.repeat(2, 1, 1)).windows(3) -> size: Argument
 rig().rotated(rotation=2 * EYE) -> rotation: Argument
 rig().project(POINTS) -> points: ArgumentType
 rig().project(DIRECTIONS[0]) -> points: Shape
@@ -652,6 +656,7 @@ Predictor(rig(), device='gpu') -> device: Argument
 Predictor(rig(), method='magic') -> method: Argument
 sees(3) -> images: Argument
 sees(pictures('a.png')) -> images['cam1']: Argument
+sees(pictures(torch.empty(3, 24, 24, device='meta'))) -> images['cam1']: Argument
 sees({'cam1': torch.zeros(3, 24, 24)}) -> images: Argument
 sees(pictures(torch.zeros(3, 5, 24))) -> images['cam1']: Shape
 sees(pictures(torch.full((3, 24, 24), 200.0))) -> images['cam1']: Argument

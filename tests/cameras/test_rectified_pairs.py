@@ -213,6 +213,8 @@ def test_batches_and_masks() -> None:
     masked = CameraRig(rig.cameras, rig.world_from_camera, {"cam1": usable})
     names = [("cam1", "cam2")]
     whole, partly = (rectified_pairs(r, pairs=names, image_size=(40, 40))[0] for r in (rig, masked))
+    fitted = [rectified_pairs(r, pairs=names)[0].image_size for r in (masked, rig)]
+    assert math.prod(fitted[0]) < 0.8 * math.prod(fitted[1])  # no larger than what both see
     assert partly.seen[partly.names.index("cam1")].sum() < whole.seen[whole.names.index("cam1")].sum()
     images = {name: torch.rand(5, 3, 32, 32) for name in rig.names}
     left, right = whole.rectify(images)

@@ -303,8 +303,6 @@ def test_a_predictor_takes_hints_and_says_if_one_is_of_another_frame() -> None:
         unused = torch.equal(wrong.index, plain.index)
         assert unused or factor != 0.3
         assert not unused or [w for w in caught if "counts with 0.00 of its weight" in str(w.message)]
-    with pytest.raises(ArgumentTypeError, match="hint: expected a DepthHint"):
-        predictor(images, points)  # type: ignore[arg-type]
     near = Hint.of_points(points).on(GRID, predictor.rig)
     torch.testing.assert_close(
         predictor(images, near._replace(weight=near.weight.double())).index, hinted.index

@@ -267,12 +267,6 @@ def test_a_driver_that_is_too_old_is_named(monkeypatch: pytest.MonkeyPatch) -> N
         Predictor(RIG, Flat(3, 8), min_depth=0.5, device="cuda")
 
 
-def test_images_without_values_are_refused() -> None:
-    images = {name: torch.empty(3, 48, 56, device="meta") for name in RIG.names}
-    with pytest.raises(ArgumentError, match="'meta', which has none"):
-        Predictor(RIG, Flat(3, 8), min_depth=0.5)(images)
-
-
 @pytest.mark.parametrize(
     "asked",
     [

@@ -50,6 +50,10 @@ def test_a_share_is_reached_over_most_where_two_cameras_see() -> None:
     torch.testing.assert_close(
         consistency_share(place, correlation, known), torch.tensor([(0.5 + 0.1) / (0.8 + 0.9)])
     )
+    known[0, 0, 1] = False  # the 0.9 is nobody's
+    torch.testing.assert_close(
+        consistency_share(place, correlation, known), torch.tensor([(0.5 + 0.1) / (0.8 + 0.5)])
+    )
     known[:, :, 1] = False
     torch.testing.assert_close(consistency_share(place, correlation, known), torch.tensor([0.5 / 0.8]))
     assert consistency_share(place, correlation, ~(correlation > 2) & False).isnan().all()

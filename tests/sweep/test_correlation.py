@@ -13,7 +13,7 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.icosphere import Icosphere, icosphere_vertices
 from sphericalvision.sweep import SweepTables, correlation_evidence, sphere_sweep
-from sphericalvision.sweep.correlation import mean_of_better_half
+from sphericalvision.sweep.correlation import mean_of_better_half, window_correlations
 from sphericalvision.sweep.ring_mean import ids_of_coarser_level, ring_mean
 from sphericalvision.sweep.sweep_tables import sweep_tables
 from sphericalvision.sweep.visibility import seen_in_view
@@ -66,6 +66,21 @@ def test_equals_the_formula(level: int, noise: float, generator: torch.Generator
             assert mean == pytest.approx(sum(pairs) / 6, abs=1e-9)
             assert best == pytest.approx(sum(max(p, 0) for p in sorted(pairs)[3:]) / 3, abs=1e-9)
             assert cameras == 4
+
+
+def test_of_a_window_that_a_view_cuts_what_is_left_to_it_counts(generator: torch.Generator) -> None:
+    """By loops: sums over what is seen, in the part of the window that is left; for a pair the smaller one."""
+    seen = torch.rand(162, 2, 1, generator=generator) > torch.tensor([0.1, 0.5])[:, None]
+    colors, around = torch.randn(162, 2, generator=generator) * seen[..., 0], windows(2)
+    found = window_correlations(colors[:, :, None, None], seen.float(), 2, 0.1)[0][:, 0]
+    local = torch.stack([colors[v] - colors[w].sum(0) / seen[w, :, 0].sum(0) for v, w in enumerate(around)])
+    local = local.where(seen[..., 0], 0.0)
+    for vertex, window in enumerate(around):
+        left = seen[window, :, 0].sum(0)
+        if left.min() and len(window) == 7:
+            deviations = (local[window].square().sum(0) / left + 0.01).sqrt()
+            expected = local[window].prod(1).sum() / left.min() / deviations.prod()
+            torch.testing.assert_close(found[vertex], expected, rtol=1e-4, atol=1e-5)
 
 
 def test_only_pairs_that_see_the_point_count(generator: torch.Generator) -> None:

@@ -43,9 +43,19 @@ BRACKETS = r"(<td[^>]*>(?:<strong>)?[-−+±\d.,]+(?: ?%)?(?:</strong>)?) (\([^<
 """What stands in brackets after a number in a table."""
 
 
-def on_config(config: object) -> None:
+def on_config(config: Any) -> None:
     """What MkDocs calls once it is configured."""
     sys.path.append(str(Path(__file__).parent))
+    if page := os.environ.get("PAGE"):
+        config.nav = [page]
+
+
+def on_files(files: Any, config: object) -> None:
+    """One page of all, if the environment names it: its links lead nowhere then, and it is there in seconds."""
+    page = os.environ.get("PAGE")
+    for file in files.documentation_pages() if page else []:
+        if file.src_uri != page:
+            files.remove(file)
 
 
 def on_pre_build(config: object) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A folder with everything that the documentation's command lines name, and the words that make them small."""
+"""What the documentation's blocks say, what a reader brings, and the words that make command lines small."""
 
 from __future__ import annotations
 
@@ -19,21 +19,19 @@ import trimesh
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue
 
-from sphericalvision.cameras import CameraRig, KannalaBrandtCamera, ring_rig, save_camera, save_rig
+from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.data import write_omnistereo
-from sphericalvision.io.images import read_image, write_image, write_mask
+from sphericalvision.io.images import read_image, write_image
 from sphericalvision.models import IcoSweepNet, save_weights
 from sphericalvision.recipes.app.checks import check_keys
 from sphericalvision.recipes.app.running import config_space
 from sphericalvision.recipes.app.words import first_values, read_words
 from tests.recipes.board_pictures import write_boards
-from tests.recipes.knocked_capture import write_knocked_capture
 from tests.recipes.scanned_sets import (
     write_deep360,
     write_helvipad,
     write_kitti360,
     write_omnipus,
-    write_own,
     write_spires,
     write_widedepth,
 )
@@ -43,12 +41,15 @@ from tests.worlds import recorded_frames
 __all__ = [
     "PAGES",
     "ROOT",
+    "Block",
     "Command",
     "blocks",
+    "bring",
     "commands_of",
-    "furnish",
+    "composed",
     "mentioned_in",
     "run_command",
+    "write_data_sets",
 ]
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -60,6 +61,16 @@ PROGRAM = re.compile(r"^(?:sphericalvision-|python -m sphericalvision\.recipes\.
 HIDDEN = "markdown-exec: hide"
 """Marks lines that a page runs and does not show."""
 SIZE = (32, 32)
+TARGET = "target_type: checkerboard\ntargetCols: 7\ntargetRows: 5\nrowSpacingMeters: 0.05\ncolSpacingMeters: 0.05\n"
+"""The board of the pictures, as Kalibr describes one."""
+
+
+class Block(NamedTuple):
+    """A fenced block of a page."""
+
+    language: str
+    title: str
+    body: str
 
 
 class Command(NamedTuple):
@@ -69,33 +80,29 @@ class Command(NamedTuple):
     words: list[str]
 
 
-def blocks(page: Path, language: str | None, visible: bool = False) -> Iterator[tuple[str, str]]:
-    """Title and body of the fenced blocks of one language or all; or only what a reader sees and copies of them."""
+def blocks(page: Path, *languages: str, visible: bool = False) -> Iterator[Block]:
+    """The fenced blocks of these languages, or of all; or only what a reader sees and copies of them."""
     for match in FENCE.finditer(page.read_text()):
         info, indent = match["info"], len(match["indent"])
-        shown = 'exec="true"' not in info or "source=" in info
-        if language in (None, info.split()[0]) and (shown or not visible):
+        language, shown = info.split()[0], 'exec="true"' not in info or "source=" in info
+        if (not languages or language in languages) and (shown or not visible):
             title = re.search(r'title="([^"]+)"', info)
             lines = [
                 line[indent:] for line in match["body"].splitlines() if not visible or HIDDEN not in line
             ]
-            yield title[1] if title else "", "\n".join(lines)
+            yield Block(language, title[1] if title else "", "\n".join(lines))
 
 
-def commands_of(page: Path) -> list[Command]:
-    """The command lines of this package on a page, continuation lines joined."""
-    found = []
-    for _, block in blocks(page, "bash"):
-        for line in block.replace("\\\n", " ").splitlines():
-            match = PROGRAM.match(line.strip())
-            if match:
-                found.append(Command(match[1], shlex.split(line.strip()[match.end() :], comments=True)))
-    return found
+def commands_of(script: str) -> list[Command]:
+    """The command lines of this package in a shell block, continuation lines joined."""
+    lines = (line.strip() for line in script.replace("\\\n", " ").splitlines())
+    matches = [(line, match) for line in lines if (match := PROGRAM.match(line))]
+    return [Command(match[1], shlex.split(line[match.end() :], comments=True)) for line, match in matches]
 
 
 def mentioned_in(page: Path) -> list[Command]:
     """The command lines within sentences of a page, and in the comments of a YAML file."""
-    found = []
+    commands = []
     text = re.sub(r"\\\n#? *", "", page.read_text())
     pattern = (
         r"^#.*?(sphericalvision-\w+ [^#]*?)(?: {3,}\(.*)?$"
@@ -105,46 +112,38 @@ def mentioned_in(page: Path) -> list[Command]:
     for line in re.findall(pattern, text, re.MULTILINE):
         program, *words = shlex.split(re.sub(r"<[^>]*>", "x", re.sub(r"\s+", " ", line)))
         if any("=" in word for word in words):
-            found.append(Command(program.removeprefix("sphericalvision-"), [w for w in words if w != "…"]))
-    return found
+            commands.append(Command(program.removeprefix("sphericalvision-"), [w for w in words if w != "…"]))
+    return commands
 
 
-def furnish(folder: Path) -> None:
-    """Calibrations, captures, weights and data sets under the names that the documentation gives them."""
+def bring(folder: Path) -> None:
+    """What a reader brings, as no page renders it: boards, a drive, a scan, weights and data sets."""
     torch.manual_seed(0)
-    lens = KannalaBrandtCamera([10.0, 10.0], [15.5, 15.5], [0.01, 0.0, 0.0, 0.0], SIZE, 1.7)
-    rig = ring_rig(4, 0.2, SIZE)
-    poses = rig.world_from_camera
-    capture = folder / "capture"
-    save_rig(rig, capture / "config.yaml")
-    save_rig(rig, folder / "rig.yaml")
-    save_rig(CameraRig({f"cam{i}": lens for i in range(4)}, poses), capture / "calibration.json", "basalt")
-    save_rig(CameraRig({f"cam{i}": lens for i in range(4)}, poses), folder / "camchain.yaml", "kalibr")
-    save_camera(lens, folder / "cam.yaml")
+    lenses = []
+    for name, aside in (("board", 0.0), ("boards/front", 0.0), ("boards/back", 0.03)):
+        write_boards(folder / name, aside)
+        pictures = (read_image(file) for file in sorted((folder / name).glob("*.png")))
+        lenses.append([(255 * picture).byte().movedim(0, -1).numpy() for picture in pictures])
+    for name in ("VID_board", "VID", "walk"):
+        write_streams(folder / f"{name}.insv", lenses[1:])
+    (folder / "target.yaml").write_text(TARGET)
     trimesh.creation.box((6.0, 2.5, 5.0)).export(folder / "room.glb")
-    for number in range(5):
-        for frame in (1, 2):
-            write_image(capture / f"cam{number}/{frame:05d}.png", torch.rand(3, *SIZE))
-        write_mask(capture / f"cam{number}/mask.png", torch.ones(SIZE, dtype=torch.bool))
-    walk = folder / "walk"
-    for number in range(5):
-        write_image(walk / f"panoramas/{number}.png", torch.rand(3, 24, 48))
-        for name in ("fisheye", *rig.names):
-            write_image(walk / f"{name}/{number}.png", torch.rand(3, *SIZE))
-    write_mask(walk / "carrier.png", torch.ones(SIZE, dtype=torch.bool))
-    for place, number in ((walk, 5), (folder, 12)):
-        poses = "".join(f"{frame} 0 {0.2 * frame} 0 0 0 0 1\n" for frame in range(number))
-        (place / "poses.txt").write_text(poses)
+    rig = ring_rig(4, 0.2, SIZE)
+    for name in rig.names:
+        for frame in range(5):
+            write_image(folder / "drive" / name / f"{frame}.png", torch.rand(3, *SIZE))
+    poses = "".join(f"{frame} 0 {0.2 * frame} 0 0 0 0 1\n" for frame in range(5))
+    (folder / "drive" / "poses.txt").write_text(poses)
     net = IcoSweepNet(3, 4, feature_channels=2, aggregation="variance", norm="instance")
     for name in ("network", "weights/icosweepnet-0"):
         save_weights(net, folder / f"{name}.safetensors")
-    for name, frames in (
-        ("omnithings", [1, 2, 8241]),
-        ("omnihouse", [1, 2]),
-        ("mine", [1, 2]),
-    ):
-        rendered = recorded_frames(rig, frames, height=20)
-        write_omnistereo(folder / "data" / name, rendered, rig)
+    write_data_sets(folder / "data", rig)
+
+
+def write_data_sets(folder: Path, rig: CameraRig) -> None:
+    """Recorded and rendered data sets under the names that the documentation gives them."""
+    for name, frames in (("omnithings", [1, 2, 8241]), ("omnihouse", [1, 2]), ("mine", [1, 2])):
+        write_omnistereo(folder / name, recorded_frames(rig, frames, height=20), rig)
     for write in (
         write_deep360,
         write_helvipad,
@@ -153,46 +152,19 @@ def furnish(folder: Path) -> None:
         write_spires,
         write_widedepth,
     ):
-        write(folder / "data" / write.__name__.removeprefix("write_"))
-    write_own(folder / "place", rig, ("00001", "00002"))
-
-
-def write_files_of(page: Path, folder: Path) -> None:
-    """The YAML and Python files that a page shows with their names."""
-    for title, text in (*blocks(page, "yaml"), *blocks(page, "python")):
-        if title:
-            (folder / title).parent.mkdir(parents=True, exist_ok=True)
-            (folder / title).write_text(text + "\n")
+        write(folder / write.__name__.removeprefix("write_"))
 
 
 def run_command(command: Command, folder: Path, cache: Path) -> None:
     """Run a command line in ``folder``, made small; ``/data`` of its words is the folder's."""
     words = [re.sub(r"=\.\.\.$", "=/data/omnithings", word) for word in command.words]
     words = [re.sub(r"(?<==)/data/", f"{folder}/data/", word) for word in words]
-    if command.recipe == "calibrate":
-        for name, aside in (("board", 0.0), ("boards/front", 0.0), ("boards/back", 0.03)):
-            write_boards(folder / name, aside)
-        sides = "rowSpacingMeters: 0.05\ncolSpacingMeters: 0.05"
-        (folder / "target.yaml").write_text(
-            f"target_type: checkerboard\ntargetCols: 7\ntargetRows: 5\n{sides}\n"
-        )
-    for video in {folder / word.removeprefix("images=") for word in words if word.endswith(".insv")}:
-        lenses = [sorted((folder / "boards" / name).glob("*.png")) for name in ("front", "back")]
-        pictures = [
-            [(255 * read_image(file)).byte().movedim(0, -1).numpy() for file in lens] for lens in lenses
-        ]
-        write_streams(video, pictures)
-    if command.recipe == "align":  # random images have nothing in common
-        write_knocked_capture(folder / "knocked")
-        words += ["calibration=knocked/rig.yaml", "images=knocked/{camera}/{frame:05d}.png"]
     if command.recipe == "train":
         time.sleep(1)  # folders of runs are named by the second, and these are short
+    options = next((number for number, word in enumerate(words) if word.startswith("--")), len(words))
+    words[options:options] = smaller(command.recipe, words, cache)  # options such as --cfg job end the keys
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        options = next((number for number, word in enumerate(words) if word.startswith("--")), len(words))
-        words[options:options] = smaller(
-            command.recipe, words, cache
-        )  # options such as --cfg job end the keys
         patch.setattr("sys.argv", [f"sphericalvision-{command.recipe}", *words])
         patch.setenv("WANDB_SILENT", "true")
         patch.setenv("PYTHONPATH", "")

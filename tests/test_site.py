@@ -4,14 +4,17 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import statistics
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import suppress
+from html import unescape
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import pytest
 
@@ -73,20 +76,43 @@ def test_pages_are_clean(site: Path, browser: Any, scheme: str, width: int) -> N
     assert not wrong
 
 
+def test_every_link_leads_somewhere(site: Path) -> None:
+    """Anchors too, and links of text that is made while the site is built."""
+    texts = {site / name: (site / name).read_text() for name in PAGES}
+    anchors = {page: {*re.findall(r'\bid="([^"]+)"', text)} for page, text in texts.items()}
+    dead = set()
+    for page, text in texts.items():
+        for link in re.findall(r'<a [^>]*?href="(?!https?:|mailto:)([^"]+)"', text):
+            path, _, anchor = unescape(unquote(link)).partition("#")
+            target = (page.parent / path).resolve() if path else page
+            if not target.exists() or (anchor and anchor not in anchors.get(target, {anchor})):
+                dead.add(f"{page.relative_to(site)}: {link}")
+    assert not dead
+
+
 SEARCHED = {
-    "getting-started": "install, pip, docker, Windows",
+    "getting-started": "install, pip, docker, Windows, conda",
     "index": "license, licence, citation, BibTeX, commercial use",
     "how-do-i": "realtime, webcam, GoPro, insv, synchronization, EXR, rosbag, timestamp, base_link, LaTeX, TensorRT, "
     "metric scale, reprojection error, equirectangular to cubemap, checkpoint, point cloud, mesh, "
-    "Gaussian splatting, stitch, fisheye calibration, undistort, mask, video",
+    "Gaussian splatting, stitch, fisheye calibration, undistort, mask, video, export tensorrt, lidar fusion, "
+    "fisheye to equirectangular, kannala brandt jacobian, minimum baseline, rolling shutter, dual fisheye, "
+    "Insta360, virtual pinhole views of a fisheye, z depth against range, AprilGrid, ChArUco, OmniPus",
+    "conventions": "coordinate frame, depth map units, rotate panorama",
+    "changelog": "changelog",
+    "depth-benchmark": "how accurate",
+    "where-it-fails": "sky",
+    "guide/cameras": "double sphere model",
     "guide/gpu": "Jetson, CUDA",
-    "guide/convolutions": "spherical CNN",
-    "guide/predictor": "ONNX",
+    "guide/convolutions": "spherical CNN, gauge equivariant",
+    "guide/predictor": "ONNX, ROS2 node",
+    "grids/cubemap": "cubemap seams",
     "grids/healpix": "HEALPix",
-    "formats/files": "Kalibr",
-    "recipes/configuration": "hyperparameter, wandb",
-    "troubleshooting": "error message",
-    "tutorials/cluster": "multi-GPU",
+    "guide/scanned": "LiDAR truth, Helvipad, Deep360, KITTI-360",
+    "formats/files": "Kalibr, nerfstudio, OCamCalib",
+    "recipes/configuration": "hyperparameter, wandb, hydra override list",
+    "troubleshooting": "error message, batch size",
+    "tutorials/cluster": "multi-GPU, multi gpu",
     "tutorials/cpp": "C++",
     "tutorials/five-minutes": "depth map",
     "tutorials/own-data": "fine-tune",

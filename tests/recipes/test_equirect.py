@@ -86,9 +86,7 @@ PAGE = Path(__file__).parents[2] / "docs/tutorials/own-data.md"
 
 def own_batch(*model: str) -> tuple[dict[str, Any], DepthNetwork]:
     """The first batch of the data module that the page shows, for a network, and that network."""
-    source = next(
-        source for title, source in blocks(PAGE, "python", visible=True) if title.endswith("my_captures.py")
-    )
+    source = next(block.body for block in blocks(PAGE, "python") if block.title.endswith("my_captures.py"))
     namespace: dict[str, Any] = {"__name__": "my_captures"}
     exec(compile(source, PAGE.name, "exec"), namespace)
     net = build(composed("train", *model).model)

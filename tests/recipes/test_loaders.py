@@ -13,17 +13,18 @@ import pytorch_lightning as pl
 import yaml
 
 import sphericalvision.conf
+from sphericalvision.cameras import ring_rig
 from sphericalvision.recipes.app.cli import build
-from tests.documented import furnish
-from tests.recipes.scanned_sets import SCENES, SEQUENCE, SITE
+from tests.documented import write_data_sets
+from tests.recipes.scanned_sets import SCENES, SEQUENCE, SITE, write_own
 from tests.recipes.tiny import composed
 
 RECORDED = ("deep360", "helvipad", "omnipus")
 WORDS = {
     **{name: (f"data.root=data/{name}",) for name in RECORDED},
     "capture": (
-        "data.images='capture/{camera}/{frame}.png'",
-        "data.calibration=capture/config.yaml",
+        "data.images='place/{camera}/{frame}.png'",
+        "data.calibration=place/rig.yaml",
         "data.min_depth=0.55",
         "model.level=5",
     ),
@@ -69,8 +70,9 @@ class Samples(pickle.Pickler):
 
 @pytest.fixture(scope="module")
 def furnished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("data")
-    furnish(folder)
+    folder, rig = tmp_path_factory.mktemp("sets"), ring_rig(4, image_size=(32, 32))
+    write_data_sets(folder / "data", rig)
+    write_own(folder / "place", rig, ("00001", "00002"))
     return folder
 
 

@@ -21,7 +21,7 @@ from sphericalvision.cameras import Camera, CameraRig, EquirectangularCamera
 from sphericalvision.cameras.robot_frame import OPTICAL_FROM_ROS, read_pose
 from sphericalvision.cameras.trajectory import upright_turn
 from sphericalvision.capture.preparation.dark_surround import without_dark_surround
-from sphericalvision.capture.sources.frames import Selection, Source, spread_evenly
+from sphericalvision.capture.sources.frames import Frame, Selection, Source, spread_evenly
 from sphericalvision.capture.sources.image_files import IMAGE_SUFFIXES
 from sphericalvision.capture.sources.moving import NAME, Moving
 from sphericalvision.capture.sources.opening import open_source, rig_for_images, rig_with_masks
@@ -113,11 +113,7 @@ class Capture(Calibration):
                 )
             from sphericalvision.capture.preparation.own_body import MOST
 
-            names = source.names(Selection())
-            chosen = (
-                None if names is None else set(spread_evenly(names, MOST))
-            )  # whichever are to be predicted
-            frames = source.frames(Selection(), lambda name: chosen is None or name in chosen)
+            frames = evenly_chosen(source, MOST)  # whichever are to be predicted
             images = (as_photographs(f.images, source.rig) for f in frames if f.images is not None)
             source.rig = with_own_body_masked(source.rig, images)
         cut_to_visible(source, self.max_angle_deg)
@@ -180,7 +176,7 @@ class PosedCapture(Capture):
 
     @property
     def upwards(self) -> str:
-        """What points up before a floor levels the rig, ``up`` or what goes without saying.
+        """Direction that points up before a floor levels the rig: ``up``, or its default.
 
         Raises:
             ArgumentError: a robot's frame has another up, or a floor is to level what moves.
@@ -324,6 +320,13 @@ def recorded_photographs(source: Source, names: Container[str]) -> Iterator[tupl
         if frame.images is None:
             raise frame.error or FileFormatError(f"images: could not read the images of frame {frame.name}")
         yield frame.name, as_photographs(frame.images, source.rig)
+
+
+def evenly_chosen(source: Source, count: int) -> Iterator[Frame]:
+    """So many frames of a recording, from the first to the last; of live cameras all."""
+    names = source.names(Selection())
+    chosen = None if names is None else set(spread_evenly(names, count))
+    return source.frames(Selection(), lambda name: chosen is None or name in chosen)
 
 
 def cut_to_visible(source: Source, max_angle_deg: float | None) -> None:

@@ -20,14 +20,13 @@ from sphericalvision.cameras.registry import camera_model_names
 from sphericalvision.capture import calibrate_rig
 from sphericalvision.capture.calibrating.boards import Board, Charuco, Checkerboard, read_board
 from sphericalvision.capture.calibrating.refine import FEWEST, RefinedRig
-from sphericalvision.capture.sources.frames import Selection, spread_evenly
 from sphericalvision.capture.sources.joined_views import rig_of_views, split_views
 from sphericalvision.capture.sources.videos import VIDEO_SUFFIXES, Videos, read_streams
 from sphericalvision.core import ArgumentError, MissingFileError, check_choice
 from sphericalvision.geometry import angle_from_axis
 from sphericalvision.io.files import by_numbers
 from sphericalvision.io.images import read_image
-from sphericalvision.recipes.app.captures import print_labels
+from sphericalvision.recipes.app.captures import evenly_chosen, print_labels
 from sphericalvision.recipes.app.cli import console, print_table
 from sphericalvision.recipes.app.kinds import STRICT, Count, FullAngle, Names, OnlyWith, Positive, Text
 from sphericalvision.recipes.app.rigs import keys_named
@@ -220,9 +219,7 @@ def _of_videos(files: Mapping[str, Path], views: list[str], num_frames: int) -> 
         )
     else:
         source = Videos(files, rig_of_views(list(files), (8, 8 * len(files))))
-    names = source.names(Selection())
-    chosen = None if names is None else set(spread_evenly(names, num_frames))
-    for frame in source.frames(Selection(), lambda name: chosen is None or name in chosen):
+    for frame in evenly_chosen(source, num_frames):
         if frame.images is None:
             raise frame.error or ArgumentError(f"images: frame {frame.name} has none")
         images = {name: torch.from_numpy(image).movedim(-1, 0) / 255 for name, image in frame.images.items()}

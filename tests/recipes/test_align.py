@@ -8,7 +8,6 @@ from pathlib import Path
 import torch
 
 from sphericalvision.cameras import read_rig
-from sphericalvision.capture.sources.frames import spread_evenly
 from tests.recipes.knocked_capture import KNOCKED, true_rig, write_knocked_capture
 from tests.recipes.tiny import Run
 
@@ -47,9 +46,3 @@ def test_a_rig_that_is_right_is_left_alone(run: Run, tmp_path: Path) -> None:
 def test_one_camera_is_compared_with_nothing(failing: Run, tmp_path: Path) -> None:
     write_knocked_capture(tmp_path / "c")
     assert "cameras: expected two or more" in failing("align", *WORDS, "cameras=[cam1]")
-
-
-def test_frames_are_spread() -> None:
-    assert spread_evenly(list("abcdefg"), 3) == ["a", "d", "g"]
-    assert spread_evenly(list("ab"), 5) == ["a", "b"]
-    assert spread_evenly(list("abc"), 1) == ["a"]

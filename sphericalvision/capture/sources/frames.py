@@ -179,6 +179,8 @@ def spread_evenly(names: Sequence[str], count: int) -> list[str]:
     Examples:
         >>> spread_evenly("abcdefg", 3)
         ['a', 'd', 'g']
+        >>> spread_evenly("ab", 5), spread_evenly("abc", 1)
+        (['a', 'b'], ['a'])
     """
     if len(names) <= count:
         return list(names)

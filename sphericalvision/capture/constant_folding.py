@@ -3,22 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import accumulate, repeat
 from typing import Any
 
 import torch
 from torch import Tensor
-from torch.fx import Graph, GraphModule, Interpreter, Node
+from torch.fx import GraphModule, Interpreter, Node
 
 LOOKUPS = {torch.ops.aten.index_select.default: 2, torch.ops.aten.embedding.default: 1}
 """Operation -> which of its arguments says what is looked up; both take 32 bits."""
-PARTS = {
-    torch.ops.aten.unbind.int: 1,
-    torch.ops.aten.split.Tensor: 2,
-    torch.ops.aten.split_with_sizes.default: 2,
-}
-"""Operation that returns several parts of a tensor -> which of its arguments is the dimension."""
 CONVOLUTIONS = tuple(getattr(torch.ops.aten, f"conv{dims}d").default for dims in (1, 2, 3))
 CHEAP = {
     getattr(torch.ops.aten, name).default
@@ -68,7 +60,6 @@ def with_constants_folded(traced: GraphModule, *inputs: Any) -> GraphModule:
             traced.graph.erase_node(node)
         elif _is_stored(node, constants) and (node.op == "call_function" or _is_large_int64(values[node])):
             values[_store(traced, node, values[node].detach().clone(), f"constant{number}")] = values[node]
-    _slice_parts(traced.graph)
     traced.graph.eliminate_dead_code()
     used = {node.target for node in traced.graph.nodes if node.op == "get_attr"}
     for name in [name for name in traced.state_dict(keep_vars=True) if name not in used]:
@@ -88,18 +79,36 @@ def _is_large_int64(value: Tensor) -> bool:
 
 
 def _store(traced: GraphModule, node: Node, value: Tensor, name: str) -> Node:
-    """Replace a node by a buffer, and return that; indices of lookups and large integers go into 32 bits."""
+    """Replace a node by a buffer, and return what reads it; ids of lookups and large integers go into 32 bits."""
     lookup = node.op == "call_function" and _only_looked_up(node)
     widened = not lookup and _is_large_int64(value)
-    traced.register_buffer(name, value.int() if lookup or widened else value)
-    with traced.graph.inserting_after(node):
-        constant = traced.graph.get_attr(name)
-    result = constant
-    if widened:
-        with traced.graph.inserting_after(constant):
-            result = traced.graph.call_function(torch.ops.aten.to.dtype, (constant, torch.int64))
+    rows, ids = _distinct_rows(value) if widened else (value, None)
+    traced.register_buffer(name, rows.int() if lookup or widened else rows)
+    with traced.graph.inserting_before(node.next):
+        result = traced.graph.get_attr(name)
+        if ids is not None:
+            traced.register_buffer(f"{name}_ids", ids.int())
+            result = traced.graph.call_function(
+                torch.ops.aten.index_select.default, (result, 0, traced.graph.get_attr(f"{name}_ids"))
+            )
+        if widened:
+            result = traced.graph.call_function(torch.ops.aten.to.dtype, (result, torch.int64))
+        if ids is not None:
+            result = traced.graph.call_function(torch.ops.aten.view.default, (result, value.shape))
     node.replace_all_uses_with(result)
     return result
+
+
+def _distinct_rows(value: Tensor) -> tuple[Tensor, Tensor | None]:
+    """Return the different rows of a table and their ids, if these are less than half; else the table and None.
+
+    A sweep reads the few triangles of an icosphere at many points.
+    """
+    if value.ndim > 1:
+        rows, ids = value.flatten(0, -2).unique(dim=0, return_inverse=True)
+        if 2 * (rows.numel() + len(ids)) < value.numel():
+            return rows, ids
+    return value, None
 
 
 def _views_of_shared_tables(values: dict[Node, Any]) -> set[Node]:
@@ -150,28 +159,6 @@ def _paths(stored: list[Node], views: set[Node]) -> set[Node]:
             paths.add(view)
             todo.extend(node for node in view.all_input_nodes if node in views)
     return paths
-
-
-def _slice_parts(graph: Graph) -> None:
-    """Take each part of a split tensor by itself: ONNX has sequences for several, which not every runtime knows."""
-    for node in graph.nodes:
-        if node.target not in PARTS:
-            continue
-        tensor, *sizes, dim = node.args if len(node.args) > PARTS[node.target] else (*node.args, 0)
-        for user in list(node.users):
-            index: Any = user.args[1]
-            with graph.inserting_before(user):
-                if not sizes:
-                    one = graph.call_function(torch.ops.aten.select.int, (tensor, dim, index))
-                else:
-                    ends = list(
-                        accumulate(
-                            sizes[0] if isinstance(sizes[0], Sequence) else repeat(sizes[0], index + 1)
-                        )
-                    )
-                    bounds = ([0, *ends][index], ends[index])
-                    one = graph.call_function(torch.ops.aten.slice.Tensor, (tensor, dim, *bounds))
-            user.replace_all_uses_with(one)
 
 
 def _only_looked_up(node: Node) -> bool:

@@ -354,7 +354,7 @@ def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Pat
         PassManager(
             [
                 common.RemoveUnusedNodesPass(),
-                common.DeduplicateInitializersPass(),
+                common.DeduplicateInitializersPass(size_limit=1 << 30),  # of 1,024 numbers by itself
                 common.CommonSubexpressionEliminationPass(),
                 common.ClearMetadataAndDocStringPass(),
                 common.RemoveUnusedNodesPass(),

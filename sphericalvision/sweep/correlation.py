@@ -207,9 +207,8 @@ def mean_of_better_half(
     for a, b in _comparators(len(ordered)):  # the same for all places, however their values lie
         ordered[a], ordered[b] = torch.maximum(ordered[a], ordered[b]), torch.minimum(ordered[a], ordered[b])
     half = (count + 1).div(2, rounding_mode="floor")
-    total = torch.zeros_like(ordered[0])
-    for rank, value in enumerate(ordered[: (len(ordered) + 1) // 2]):
-        total = total + value.masked_fill(half <= rank, 0.0)
+    greater = ordered[: (len(ordered) + 1) // 2]
+    total = sum(value.masked_fill(half <= rank, 0.0) for rank, value in enumerate(greater))
     return total / half.clamp(min=1)
 
 

@@ -65,8 +65,8 @@ def appearance_at_depth(
         level_from_num_vertices(inverse_depths.shape[-1]), offsets.dtype, images.device
     ).T.contiguous()
     locator = TriangleLocator(level_from_num_vertices(images.shape[-1]), offsets.dtype, images.device)
-    rows = _rows(images, seen)
-    return AppearanceAtDepth(*_appearance(rows, locator, vertices, offsets, inverse_depths))
+    planes = _planes(images, seen)
+    return AppearanceAtDepth(*_appearance(planes, locator, vertices, offsets, inverse_depths))
 
 
 @check_shapes
@@ -102,13 +102,13 @@ def appearance_around(
     level = level_from_num_vertices(inverse_depths.shape[-1])
     directions = _seven_directions(level, images.device).to(offsets.dtype)
     locator = TriangleLocator(level_from_num_vertices(images.shape[-1]), offsets.dtype, images.device)
-    return _around(_rows(images, seen), locator, directions, offsets, inverse_depths, chosen)
+    return _around(_planes(images, seen), locator, directions, offsets, inverse_depths, chosen)
 
 
-def _rows(images: Tensor, seen: Tensor) -> Tensor:
-    """``(B, n, V, C + 1)``: colours next to each other, and whether they were seen."""
+def _planes(images: Tensor, seen: Tensor) -> Tensor:
+    """``(B, n, C + 1, V)``: colours, and whether they were seen."""
     weight = check_seen(seen, images).to(images)[:, :, None]
-    return torch.cat((images * weight, weight), 2).transpose(2, 3).contiguous()
+    return torch.cat((images * weight, weight), 2)
 
 
 @constant_table
@@ -121,7 +121,7 @@ def _seven_directions(level: int, device: torch.device) -> Tensor:
 
 
 def _around_all(
-    rows: Tensor,
+    planes: Tensor,
     locator: TriangleLocator,
     directions: Tensor,
     offsets: Tensor,
@@ -130,7 +130,7 @@ def _around_all(
 ) -> Tensor:
     """Numbers ``(B, K, D, V)``, computed everywhere."""
     inverse_depths = inverse_depths[..., None].expand(*inverse_depths.shape, directions.shape[-1]).flatten(2)
-    color, deviation, _ = _appearance(rows, locator, directions.flatten(1), offsets, inverse_depths)
+    color, deviation, _ = _appearance(planes, locator, directions.flatten(1), offsets, inverse_depths)
     deviation = deviation.unflatten(-1, directions.shape[1:])
     color = color.unflatten(-1, directions.shape[1:])
     variation = (color - color.mean(-1, keepdim=True)).abs().mean((2, -1))
@@ -139,7 +139,7 @@ def _around_all(
 
 
 def _around_chosen(
-    rows: Tensor,
+    planes: Tensor,
     locator: TriangleLocator,
     directions: Tensor,
     offsets: Tensor,
@@ -148,11 +148,11 @@ def _around_chosen(
 ) -> Tensor:
     """The same, computed at the chosen vertices of one sample after the other."""
     batch, depths, vertices = inverse_depths.shape
-    result = rows.new_zeros(batch, depths, 3 + rows.shape[-1], vertices)
+    result = planes.new_zeros(batch, depths, 3 + planes.shape[2], vertices)
     for sample, ids in enumerate(chosen[number].nonzero().squeeze(1) for number in range(batch)):
         one = slice(sample, sample + 1)
         result[sample][..., ids] = _around_all(
-            rows[one],
+            planes[one],
             locator,
             directions[:, ids],
             offsets[one],
@@ -166,16 +166,17 @@ _around = Operator(_around_all, cpu=_around_chosen)
 
 
 def _by_sample(
-    rows: Tensor, locator: TriangleLocator, vertices: Tensor, offsets: Tensor, inverse_depths: Tensor
+    planes: Tensor, locator: TriangleLocator, vertices: Tensor, offsets: Tensor, inverse_depths: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Sample by sample and some vertices at once, so few that they stay in the cache of a CPU."""
-    if not len(rows):
+    if not len(planes):
         return NotImplemented
     size = max(1, locator.chunk_size // inverse_depths.shape[1])
     samples = []
-    for sample, offset, inverse_depth in zip(rows, offsets, inverse_depths, strict=True):
+    for sample, offset, inverse_depth in zip(planes, offsets, inverse_depths, strict=True):
+        rows = [image.t().contiguous() for image in sample]  # what is looked up lies next to each other
         chunks = [
-            _seen_by_all(sample, locator, *chunk, offset)
+            _seen_by_all(rows, locator, *chunk, offset)
             for chunk in zip(vertices.split(size, 1), inverse_depth.split(size, 1), strict=True)
         ]
         samples.append([torch.cat(values, -1) for values in zip(*chunks, strict=True)])
@@ -184,7 +185,7 @@ def _by_sample(
 
 
 def _seen_by_all(
-    rows: Tensor, locator: TriangleLocator, vertices: Tensor, inverse_depth: Tensor, offsets: Tensor
+    rows: list[Tensor], locator: TriangleLocator, vertices: Tensor, inverse_depth: Tensor, offsets: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Color ``(K, C, V)``, deviation and cameras ``(K, V)`` of some vertices, so few that they stay in the cache."""
     weights, colors = [], []
@@ -207,17 +208,17 @@ def _seen_by_all(
 
 
 def _all_at_once(
-    rows: Tensor, locator: TriangleLocator, vertices: Tensor, offsets: Tensor, inverse_depths: Tensor
+    planes: Tensor, locator: TriangleLocator, vertices: Tensor, offsets: Tensor, inverse_depths: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Colours ``(B, K, C, V)``, deviation and cameras ``(B, K, V)`` of images ``(B, n, V_image, C)`` without a loop."""
-    batch, cameras, number, channels = rows.shape
+    """Colours ``(B, K, C, V)``, deviation and cameras ``(B, K, V)`` of ``(B, n, C + 1, V_image)`` without a loop."""
+    batch, cameras, channels, number = planes.shape
     offset = offsets.permute(2, 0, 1)[..., None, None]
     rays = vertices[:, None, None, None] + offset * inverse_depths[:, None]  # (3, B, n, K, V)
     triangles, shares = locator.find(rays.flatten(1))
-    first_row = torch.arange(0, batch * cameras * number, number, device=rows.device)
+    first_row = torch.arange(0, batch * cameras * number, number, device=planes.device)
     bags = locator.faces.index_select(0, triangles).view(batch * cameras, inverse_depths.shape[1:].numel(), 3)
     bags = bags + first_row[:, None, None]
-    values = weighted_rows(rows.reshape(-1, channels), bags.view(-1, 3), shares.T)
+    values = weighted_rows(planes.mT.reshape(-1, channels), bags.view(-1, 3), shares.T)
     values = values.view(*rays.shape[1:], channels)
     weights = (values[..., -1:] > 0.5).to(values)
     colors = values[..., :-1] / values[..., -1:].clamp(min=0.5)

@@ -48,9 +48,10 @@ def coarser_images(
     """
     level = level_from_num_vertices(images.shape[-1])
     visible = seen[:, :, None].to(images)
-    means = ring_mean(torch.cat((images * visible, visible), 2).permute(3, 0, 1, 2), level - 1).permute(
-        1, 2, 3, 0
-    )
+    planes = torch.cat((images * visible, visible), 2)
+    # As matrices: torch transposes these several times as fast as it permutes four dimensions.
+    rows = planes.flatten(0, 2).t().contiguous()
+    means = ring_mean(rows, level - 1).t().contiguous().unflatten(0, planes.shape[:3])
     coarse_seen = seen[..., ids_of_coarser_level(level, level - 1, images.device)]
     values = means[:, :, :-1] / means[:, :, -1:].clamp(min=1e-6)
     return values * coarse_seen[:, :, None], coarse_seen

@@ -19,7 +19,25 @@ from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor, nn
 
 from sphericalvision.geometry.directions import HALF, broadcast_shapes
-from sphericalvision.kernels import uses_reference_kernels
+from sphericalvision.kernels import prefer_fused, uses_reference_kernels
+
+
+def read_entries(
+    values: Shaped[Tensor, "*batch size"], ids: Int[Tensor, "*entries"]
+) -> Shaped[Tensor, " ..."]:
+    """Entries ``(*b, *entries)`` of the last dimension of values, by number.
+
+    Examples:
+        >>> read_entries(torch.tensor([[1.0, 3.0, 5.0]]), torch.tensor([[2, 0], [1, 1]]))
+        tensor([[[5., 1.],
+                 [3., 3.]]])
+    """
+    flat = ids.flatten()
+    if prefer_fused(values.device):
+        result = values.index_select(-1, flat)
+    else:  # on a CPU in an eighth of the time
+        result = values.gather(-1, flat.expand(*values.shape[:-1], -1))
+    return result.unflatten(-1, tuple(ids.shape))
 
 
 def weighted_rows(
@@ -80,8 +98,7 @@ def weighted_sums(
             total = total + values.gather(-1, ids[..., None, :, k].expand(shape)) * weights[..., None, :, k]
         return total
     if ids.numel() < values.shape[-1]:  # few of many: the rest is not touched
-        terms = values.index_select(-1, ids.flatten()).unflatten(-1, tuple(ids.shape))
-        return (terms * weights).sum(-1)
+        return (read_entries(values, ids) * weights).sum(-1)
     wants_grad = torch.is_grad_enabled() and (values.requires_grad or weights.requires_grad)
     if wants_grad and values.device.type == "cpu" and torch.compiler.is_compiling():
         # Inductor of torch 2.13 adds the slopes of transposed rows up at wrong places, and past their end.
@@ -151,7 +168,7 @@ class Lookup(PlacesInSinglePrecision):
         if self.weights is not None:
             result = weighted_sums(values, self.ids, self.weights)
         elif self.ids.ndim == 1:
-            result = values.index_select(-1, self.ids)
+            result = read_entries(values, self.ids)
         else:
             batch = broadcast_shapes(values.shape[:-2], self.ids.shape[:-1])
             ids = self.ids.unsqueeze(-2).expand(*batch, values.shape[-2], -1)

@@ -103,7 +103,7 @@ def _evidence_at_once(images: Tensor, valid: Tensor, tables: SweepTables, level:
     """
     colors, seen = _sweep(images, valid, tables)
     correlations = window_correlations(colors, seen, level, noise)
-    seen = seen[ids_of_coarser_level(level_from_num_vertices(len(seen)), level, seen.device)]
+    seen = _at_level(seen, level)
     pairs = [seen[:, a] * seen[:, b] for a, b in _pairs(seen.shape[1])]
     count = torch.stack(pairs).sum(0)
     mean = torch.stack([c * weight for c, weight in zip(correlations, pairs, strict=True)]).sum(0)
@@ -179,7 +179,7 @@ def window_correlations(
     # Squares of each camera and products of each pair, colours summed up: n + n (n - 1) / 2 planes for one gather.
     planes = torch.cat((local.square().sum(2), *products), 1)
     planes = ring_mean(planes, level)
-    share = share[ids_of_coarser_level(level_from_num_vertices(len(seen)), level, seen.device)]
+    share = _at_level(share, level)
     variance = planes[:, :num_cameras] / share + noise**2
     scale = variance.clamp(min=1e-20).rsqrt()  # so that 0 stays 0 without noise, too
     return [
@@ -210,6 +210,12 @@ def mean_of_better_half(
     greater = ordered[: (len(ordered) + 1) // 2]
     total = sum(value.masked_fill(half <= rank, 0.0) for rank, value in enumerate(greater))
     return total / half.clamp(min=1)
+
+
+def _at_level(values: Tensor, level: int) -> Tensor:
+    """Values ``(V, *)`` at the vertices of a coarser level, or all of them."""
+    own_level = level_from_num_vertices(len(values))
+    return values if level == own_level else values[ids_of_coarser_level(own_level, level, values.device)]
 
 
 def _pairs(num_cameras: int) -> list[tuple[int, int]]:

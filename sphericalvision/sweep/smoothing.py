@@ -12,6 +12,7 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.directions import in_single_precision
+from sphericalvision.geometry.lookup import read_entries
 from sphericalvision.geometry.means_by_id import MeansById, mean_by_id, means_by_id
 from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.lines import icosphere_lines
@@ -116,7 +117,7 @@ def _along_paths(
     planes = cost.transpose(0, 1)  # (N, B, V): a step compares whole planes of all paths at once
     # A step more than there are, or planes lie multiples of 4096 bytes apart, where they take each other's cache lines.
     ids = torch.cat((paths.ids, paths.ids[:1]))
-    *steps, _ = planes.index_select(2, ids.flatten()).unflatten(2, tuple(ids.shape)).unbind(2)
+    *steps, _ = read_entries(planes, ids).unbind(2)
     reached = [steps[0]]
     for step, jump in zip(steps[1:], jumps.unbind(), strict=True):
         reached.append(extend(reached[-1], step, small_penalty, jump))
@@ -151,7 +152,7 @@ def _jump_penalties(
     """
     if guide is None:
         return (paths.begun * large_penalty).unsqueeze(1)
-    colors = guide.index_select(2, paths.ids.flatten()).unflatten(2, tuple(paths.ids.shape))
+    colors = read_entries(guide, paths.ids)
     change = (colors[:, :, 1:] - colors[:, :, :-1]).abs().mean(1)
     penalty = (large_penalty / (1 + change / contrast)).clamp(min=small_penalty)
     return (penalty * paths.begun.to(penalty)).transpose(0, 1)

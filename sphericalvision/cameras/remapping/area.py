@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.geometry.image_lookup import ImageLookup, image_lookup
+from sphericalvision.geometry.lookup import read_entries
 
 # A side, of a footprint as wide as high, before it is looked up in a smaller image instead. In images of noise the
 # error of 4 is up to four times as large, and calls take as long: with fewer samples more images have to be made small.
@@ -182,4 +183,4 @@ class PyramidLookup(nn.Module):
                 size = _level_size((image_size[0], image_size[1]), level)
                 small = F.interpolate(flat, size=size, mode="area").view(*small.shape[:-2], *size)
             results.append(lookup(small))
-        return torch.cat(results, dim=-1).index_select(-1, self.order)
+        return read_entries(torch.cat(results, dim=-1), self.order)

@@ -8,6 +8,7 @@ from jaxtyping import Shaped
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError, check_tensor
+from sphericalvision.geometry.lookup import read_entries
 from sphericalvision.sphere.grids.cube_layouts import world_from_cube_face
 
 Padding = int | tuple[int, int, int, int]
@@ -70,7 +71,7 @@ def faces_continued(
     borders = _border(size, sides, faces.device)
     row, column = (torch.cat([places.flatten() for places in pair]) for pair in zip(*borders, strict=True))
     ids = torch.stack(cube_border_ids(row, column, size))
-    values = faces.flatten(-3).index_select(-1, ids.flatten()).unflatten(-1, tuple(ids.shape)).mean(-3)
+    values = read_entries(faces.flatten(-3), ids).mean(-3)
     strips = values.split([places.numel() for places, _ in borders], -1)
     above, west, east, below = (
         strip.unflatten(-1, tuple(places.shape)) for strip, (places, _) in zip(strips, borders, strict=True)

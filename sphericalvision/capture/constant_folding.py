@@ -120,45 +120,30 @@ def _views_of_shared_tables(values: dict[Node, Any]) -> set[Node]:
     computed: set[Node] = set()
     while True:
         constants = {node: value for node, value in values.items() if node not in computed}
+        cheap = {node for node in constants if node.target in CHEAP}
         savings = {}
         for table, value in constants.items():
             if isinstance(value, Tensor) and value.nbytes >= LARGE:
-                views = _cheap_views(table, constants)
-                stored = [view for view in views if _is_stored(view, constants)]
+                views = _reached({table}, "users", cheap) - {table}
+                stored = {view for view in views if _is_stored(view, constants)}
                 saving = sum(constants[view].nbytes for view in stored)
                 saving -= 0 if _is_stored(table, constants) else value.nbytes
                 if saving >= LARGE and (len(stored) > 1 or _is_stored(table, constants)):
-                    savings[table] = saving, _paths(stored, views)
+                    savings[table] = saving, _reached(stored, "all_input_nodes", views)
         if not savings:
             return computed
         computed |= max(savings.values(), key=lambda entry: entry[0])[1]
 
 
-def _cheap_views(table: Node, constants: dict[Node, Any]) -> set[Node]:
-    """Return all constants that cheap operations make of a table, itself left out."""
-    views: set[Node] = set()
-    todo = [table]
+def _reached(start: set[Node], direction: str, allowed: set[Node]) -> set[Node]:
+    """Return some nodes and all that follow from them, by ``users`` or ``all_input_nodes``, among those allowed."""
+    reached = set(start)
+    todo = list(start)
     while todo:
-        fresh = {
-            user
-            for user in todo.pop().users
-            if user in constants and user.target in CHEAP and user not in views
-        }
-        views |= fresh
+        fresh = allowed.intersection(getattr(todo.pop(), direction)) - reached
+        reached |= fresh
         todo.extend(fresh)
-    return views
-
-
-def _paths(stored: list[Node], views: set[Node]) -> set[Node]:
-    """Return the views that lead to those that are stored, these included."""
-    paths: set[Node] = set()
-    todo = list(stored)
-    while todo:
-        view = todo.pop()
-        if view not in paths:
-            paths.add(view)
-            todo.extend(node for node in view.all_input_nodes if node in views)
-    return paths
+    return reached
 
 
 def _only_looked_up(node: Node) -> bool:

@@ -8,6 +8,7 @@ from jaxtyping import Float, Num
 from torch import Tensor, nn
 
 from sphericalvision.core import ShapeError, check_choice, check_floating
+from sphericalvision.geometry.lookup import read_entries
 from sphericalvision.icosphere.adjacency import icosphere_neighbors
 from sphericalvision.icosphere.areas import icosphere_solid_angles
 from sphericalvision.icosphere.hierarchy import icosphere_vertex_parents
@@ -174,4 +175,4 @@ def _max(values: Tensor, ids: Tensor) -> Tensor:
 
 
 def _mean_of_parents(values: Tensor, parents: Tensor) -> Tensor:
-    return (values[..., parents[:, 0]] + values[..., parents[:, 1]]) / 2
+    return (read_entries(values, parents[:, 0]) + read_entries(values, parents[:, 1])) / 2

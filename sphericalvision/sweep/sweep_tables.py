@@ -14,6 +14,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import check_type
+from sphericalvision.geometry.lookup import read_entries
 from sphericalvision.icosphere import TriangleLocator
 from sphericalvision.kernels import Operator
 
@@ -187,7 +188,7 @@ def _locate_seen(points: _Points, locator: TriangleLocator) -> tuple[SweepTables
         rays = points.rays(*block)
         _in_view(rays, points.axes[:, block[1]], points.limits[block[1]], out=seen)
         in_view = seen.flatten().nonzero()[:, 0]
-        found, shares = locator.find(rays.flatten(1).index_select(1, in_view))
+        found, shares = locator.find(read_entries(rays.flatten(1), in_view))
         rows = found.new_zeros(seen.numel()).index_copy_(0, in_view, found + 1)
         torch.index_select(corners, 0, rows, out=ids.view(-1, 3))
         weights.view(-1, 3).index_copy_(0, in_view, shares.T)

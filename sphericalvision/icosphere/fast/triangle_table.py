@@ -17,6 +17,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from sphericalvision.geometry.lookup import read_entries
 from sphericalvision.icosphere.descent import convex, descend
 from sphericalvision.icosphere.fast.octahedron import cell_centers, cell_numbers
 from sphericalvision.icosphere.mesh import icosphere_vertices
@@ -85,7 +86,7 @@ def find_triangles(
     for _ in range(STEPS):
         if not len(outside):
             return triangles, shares
-        astray, weights = astray.index_select(1, outside), weights.index_select(1, outside)
+        astray, weights = read_entries(astray, outside), read_entries(weights, outside)
         # Across the edge opposite to the corner of the least coefficient: 0 where that is a's, and else 1 for b's or
         # 2 for c's. Three comparisons of whole rows, where argmin would go through columns of three one by one.
         a, b, c = weights
@@ -140,7 +141,7 @@ def coefficients(
     rays: Float[Tensor, "3 m"], triangles: Int[Tensor, " m"], table: TriangleTable
 ) -> Float[Tensor, "3 m"]:
     """Return coefficients ``(3, m)`` with which the corners of triangles ``(m,)`` add up to rays ``(3, m)``."""
-    x, y, z = table.matrices.view(9, -1).index_select(1, triangles).view(3, 3, -1)
+    x, y, z = read_entries(table.matrices.view(9, -1), triangles.long()).view(3, 3, -1)
     return (x * rays[0]).addcmul_(y, rays[1]).addcmul_(z, rays[2])
 
 

@@ -311,6 +311,15 @@ def test_a_vertex_between_two_takes_the_second_answer_of_the_first_one():
     assert (other[parents[:, 0]] != other[parents[:, 1]]).any()
 
 
+@pytest.mark.parametrize(("hinted", "expected"), [(14.0, 10.0), (4.0, 4.0)])
+def test_a_hint_takes_the_place_of_the_second_answer_where_it_is_likelier(hinted, expected):
+    logits = torch.full((1, 31, 42), -20.0)
+    logits[0, 8], logits[0, 20] = 9.0, 5.0
+    hint = HintedIndex(torch.full((1, 162), hinted), torch.ones(1, 162))
+    index = candidates_of(FusedLogits(logits, torch.zeros(1, 1, 42)), hint=hint).index
+    torch.testing.assert_close(index[0, 3], torch.full((162,), expected))
+
+
 def test_what_is_missing_around_a_vertex_of_five_neighbors_is_not_the_last_vertex():
     grid = Icosphere(2)
     logits = torch.full((1, 31, grid.num_vertices), -20.0)

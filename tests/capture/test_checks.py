@@ -73,7 +73,7 @@ def test_inverted_poses_are_told(seed: int) -> None:
 def test_what_a_mask_hides_has_no_part_in_the_agreement_of_cameras() -> None:
     mask = torch.arange(80).expand(80, 80) < 40
     depth = depth_of(RING.replaced(masks={"cam1": mask}), "room", 0.55)
-    spoiled = depth.images | {"cam1": depth.images["cam1"].where(mask, 1.0)}
+    spoiled = {**depth.images, "cam1": depth.images["cam1"].where(mask, 1.0)}
     clean, other = (camera_agreement(replace(depth, images=images)) for images in (depth.images, spoiled))
     assert other == pytest.approx(clean, abs=0.03)
     assert min(clean.values()) > DISAGREES

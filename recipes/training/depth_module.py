@@ -17,7 +17,7 @@ from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.data.augmentation.simulated_hint import simulated_hint
 from sphericalvision.icosphere import level_from_num_vertices
 from sphericalvision.metrics import DepthIndexError
-from sphericalvision.models import DepthNetwork, RefinedSweepNet
+from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.checkpoints import initialize
 from sphericalvision.recipes.app.kinds import Share
 from sphericalvision.recipes.datamodules.clues import clues_of
@@ -45,14 +45,11 @@ class DepthModule(TrainingModule):
         seed: of each training step, with its number.
         learns: what the names of the weights that learn begin with; all learn when not given.
         hints: share of the samples that a network which takes hints sees with one that is simulated from the truth.
-        refines: share of the steps in which the refinement of a ``RefinedSweepNet`` learns as well. A step without it
-            costs less than half, and what is to be learned is mostly the fusion's.
         compile: backend by which ``torch.compile`` makes one program of the loss, which takes minutes for each new
             number of cameras; none when not given.
 
     Raises:
-        ArgumentError: ``torch.compile`` has no such backend, no weight has a name that begins so, or ``refines`` is
-            less than 1 for another network.
+        ArgumentError: ``torch.compile`` has no such backend, or no weight has a name that begins so.
     """
 
     metric_names = METRICS
@@ -72,7 +69,6 @@ class DepthModule(TrainingModule):
         seed: int = 0,
         learns: Sequence[str] | None = None,
         hints: Share = 0.35,
-        refines: Share = 1.0,
         compile: str | None = None,
     ) -> None:
         super().__init__(net, loss, optimizer, scheduler, monitor, mode, seed)
@@ -82,11 +78,7 @@ class DepthModule(TrainingModule):
             net.requires_grad_(False)
             for beginning in learns:
                 _select(net, beginning)
-        if refines < 1 and not isinstance(net, RefinedSweepNet):
-            raise ArgumentError(
-                f"task.refines: expected 1 for {type(net).__name__}, which has no refinement, got {refines:g}"
-            )
-        self.hints, self.refines = hints, refines
+        self.hints = hints
         net.configure(recompute=recompute)
         if compile is not None:
             check_choice("task.compile", compile, tuple(torch.compiler.list_backends(exclude_tags=())))
@@ -94,18 +86,6 @@ class DepthModule(TrainingModule):
         self.tables, self.training_loss = RigTables(net), self._loss_of(net)
         self._others: dict[int, tuple[DepthNetwork, RigTables, Callable[..., Tensor]]] = {}
         self.validation_metric = DepthIndexError(net.num_hypotheses)
-
-    def on_fit_start(self) -> None:
-        """Refuse what several processes cannot do: each wants a gradient for each weight in each step.
-
-        Raises:
-            ArgumentError: ``refines`` is less than 1.
-        """
-        if self.refines < 1 and self.trainer.world_size > 1:
-            raise ArgumentError(
-                f"task.refines: expected 1 for {self.trainer.world_size} processes, got {self.refines:g}; set "
-                "task.refines=1 or trainer.devices=1"
-            )
 
     def initialize(self, weights: str | Path) -> None:
         """Start from the parameters of another network; see ``checkpoints.initialize``."""
@@ -141,8 +121,6 @@ class DepthModule(TrainingModule):
             rig, more["clues"] = batch["rig"], clues_of(batch)
         else:
             rig = tables.of(batch["rig"])
-        if self.refines < 1:
-            more["refine"] = torch.rand(()).item() < self.refines
         loss: Tensor = training_loss(images, rig, seen, *_target(batch, net), self.loss, **more)
         self.log("train/loss", loss, batch_size=len(images))
         return loss

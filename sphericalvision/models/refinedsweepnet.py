@@ -373,7 +373,6 @@ class RefinedSweepNet(DepthNetwork):
         loss: Callable[..., Tensor],
         hint: DepthHint | None = None,
         clues: SweepClues | None = None,
-        refine: bool = True,
     ) -> Float[Tensor, ""]:
         """Return a loss of the index at all levels, of the logits, of the prior, and of the confidence.
 
@@ -390,7 +389,6 @@ class RefinedSweepNet(DepthNetwork):
             loss: of index, true index and where that is known.
             clues: result of the method ``clues`` for these images, computed before. The prior does not learn then, and
                 no tables are made of the rig; ``seen`` is needed.
-            refine: whether the refinement learns, too. Without it its share, and most of the cost, is left out.
         """
         if clues is None or seen is None:
             tables = rig if isinstance(rig, RefinedTables) else self.tables(rig)  # type: ignore[arg-type]
@@ -414,14 +412,13 @@ class RefinedSweepNet(DepthNetwork):
             return true[:, ids], valid[:, ids]
 
         modes = two_modes(fused.logits)
-        losses = [fused.logits.new_zeros(())]
-        if refine:
-            steps = self.refinements(fused, views, offsets, hints[1:], modes)
-            losses = [
+        steps = self.refinements(fused, views, offsets, hints[1:], modes)
+        total = torch.stack(
+            [
                 _loss_of_step(refined, *at_level(level), loss)
                 for level, refined in enumerate(steps, self.coarse_level + 1)
             ]
-        total = torch.stack(losses).mean()
+        ).mean()
         coarse_true, coarse_valid = at_level(self.coarse_level)
         coarse_weights = torch.where(clues.cameras.amax(1) >= 2, 1.0, 0.25) * _edge_weights(
             coarse_true, coarse_valid

@@ -11,11 +11,7 @@ import torch
 from sphericalvision import Predictor
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Depth
-from sphericalvision.capture.checks import (
-    PhotoConsistency,
-    capture_warnings,
-    pose_agreement,
-)
+from sphericalvision.capture.checks import PhotoConsistency, capture_warnings, pose_agreement
 from sphericalvision.scenes import make_scene, render_rig
 
 RING = ring_rig(4, image_size=(80, 80))

@@ -22,7 +22,7 @@ from sphericalvision.recipes.training.depth_module import DepthModule
 from tests.recipes.conftest import run_recipe
 from tests.recipes.tiny import Run, composed
 
-STAGES = ("prior", "fusion", "more", "finer", "hints")
+STAGES = ("prior", "fusion", "finer", "hints")
 SMALL = """
 # @package _global_
 defaults: [/experiment/refinedsweepnet/{stage}]
@@ -81,7 +81,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def started(done: Path, tmp_path: Path) -> Iterator[Path]:
-    """The same as ``done``, of which the fourth stage has not begun."""
+    """The same as ``done``, of which the third stage has not begun."""
     folder = tmp_path / "again"
     shutil.copytree(done, folder)
     results = folder / "outputs/refinedsweepnet"
@@ -100,11 +100,10 @@ def weights(folder: Path, stage: str) -> dict[str, torch.Tensor]:
 
 
 def test_each_stage_starts_from_the_one_before_and_learns_its_part(done: Path) -> None:
-    prior, fusion, more, finer, hints = (weights(done, stage) for stage in STAGES)
+    prior, fusion, finer, hints = (weights(done, stage) for stage in STAGES)
     assert all(torch.equal(value, fusion[f"prior.{name}"]) for name, value in prior.items())
     for before, after, parts in (
-        (fusion, more, ("fusion", "refinement")),
-        (more, finer, ("fusion", "refinement")),
+        (fusion, finer, ("fusion", "refinement")),
         (finer, hints, ("fusion.hint_gate.exit",)),
     ):
         changed = {name for name, value in after.items() if not torch.equal(value, before[name])}
@@ -192,8 +191,6 @@ def test_a_loss_from_clues_is_that_of_the_images(tmp_path: Path) -> None:
         batch = next(iter(data.train_dataloader()))
         losses.append(module.training_step(batch, 0))
     torch.testing.assert_close(losses[1], losses[0], rtol=2e-3, atol=0)
-    with pytest.raises(ArgumentError, match=r"task\.refines"):
-        DepthModule(prior, composed_loss(), torch.optim.SGD, lambda optimizer: optimizer, refines=0.5)
     with pytest.raises(ArgumentError, match="IcoSweepNet"):
         SamplesWithClues(data.plain("train").of_level[4].samples, prior, prior, tmp_path)
 

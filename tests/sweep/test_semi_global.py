@@ -158,19 +158,6 @@ def test_bare_scenes_have_little_confidence(noise: float, generator: torch.Gener
     assert clear.median() > 0.9
 
 
-def test_what_two_cameras_do_not_see_costs_the_mean_of_what_they_see(generator: torch.Generator) -> None:
-    tables = semi_global_tables(ring_rig(4, 0.2), 8, 0.5, image_level=3, substeps=1).sweep
-    seen = tables.seen & (torch.rand(8, 162, 1, generator=generator) < 0.7)
-    tables = tables._replace(seen=seen, weights=tables.weights * seen.unsqueeze(-1))
-    images = torch.rand(1, 4, 3, 642, generator=generator)
-    evidence, cost = semi_global_costs(images, tables, None, 0.0, 0.0)
-    compared = evidence[:, 2] >= 2
-    expected = (1 - evidence[:, 1]).where(compared, torch.nan)
-    expected = expected.where(compared, expected.nanmean(1, keepdim=True)).nan_to_num(1.0)
-    assert 0.1 < compared.float().mean() < 0.9
-    torch.testing.assert_close(cost, expected)
-
-
 def test_what_two_cameras_do_not_see_makes_no_edge(generator: torch.Generator) -> None:
     """Images of nearly one colour have no edges, and neither have they where one hypothesis alone is in view."""
     tables = semi_global_tables(ring_rig(4, 0.2), 8, 0.5, image_level=3, substeps=1).sweep

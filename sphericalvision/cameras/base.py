@@ -6,7 +6,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import torch
 from jaxtyping import Bool, Float, Shaped
@@ -413,16 +413,7 @@ class Camera(DeclaredModel):
         return mapped
 
 
-class Batched(Protocol):
-    """A camera or a rig, or a batch of them."""
-
-    @property
-    def batch_shape(self) -> tuple[int, ...]:
-        """No dimensions for a single one."""
-        ...
-
-
-def check_single(thing: Batched) -> None:
+def check_single(thing: Any) -> None:
     """Raise ``ArgumentError`` for a batch of cameras or rigs, or what is neither."""
     if not hasattr(thing, "batch_shape"):
         raise ArgumentTypeError(f"expected a camera or a rig, got {type(thing).__name__}")

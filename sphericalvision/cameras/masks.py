@@ -3,21 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol
+from collections.abc import Mapping, Sequence
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-
-
-class HasMasks(Protocol):
-    """A rig, as far as masks are concerned."""
-
-    cameras: dict[str, Camera]
-    masks: dict[str, Tensor]
 
 
 def is_usable(
@@ -44,11 +36,11 @@ def resized_mask(
     return mask
 
 
-def stack_masks(rigs: Sequence[HasMasks]) -> dict[str, Tensor]:
-    """Masks by name, shared where all rigs have the same and stacked elsewhere; no mask means all is usable."""
+def stack_masks(cameras: Mapping[str, Camera], rigs: Sequence[Mapping[str, Tensor]]) -> dict[str, Tensor]:
+    """Masks of rigs by name, shared where all have the same and stacked elsewhere; no mask means all is usable."""
     stacked = {}
-    for name, camera in rigs[0].cameras.items():
-        masks = [rig.masks.get(name) for rig in rigs]
+    for name, camera in cameras.items():
+        masks = [own.get(name) for own in rigs]
         present = [mask for mask in masks if mask is not None]
         if not present:
             continue

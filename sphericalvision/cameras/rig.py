@@ -392,7 +392,9 @@ class CameraRig:
         cameras = {name: _stack_cameras(name, [rig.cameras[name] for rig in rigs]) for name in first.names}
         poses = torch.stack([rig.world_from_camera for rig in rigs])
         origin = torch.stack([rig.origin for rig in rigs])
-        return CameraRig(cameras, poses, stack_masks(rigs), first.around, origin)
+        return CameraRig(
+            cameras, poses, stack_masks(first.cameras, [rig.masks for rig in rigs]), first.around, origin
+        )
 
     @check_shapes
     def project(self, points: Float[Tensor, "*rigs P 3"]) -> Projection:

@@ -108,13 +108,30 @@ def write_bytes(path: str | Path, content: bytes) -> None:
             raise OSError(errno.ENOSPC, f"{written} of {len(content)} bytes were written", str(path))
 
 
+MAX_BYTES = 2**32
+"""Of a file that is read as a whole; a sparse file of a few kilobytes may claim to have more than any machine."""
+
+
+def read_bytes(path: Path, most: int = MAX_BYTES) -> bytes:
+    """The content of a file.
+
+    Raises:
+        FileFormatError: it has more than ``most`` bytes.
+    """
+    if (size := path.stat().st_size) > most:
+        raise FileFormatError(
+            f"{path}: has {size:,} bytes, at most {most:,} are read; is it the file you mean?"
+        )
+    return path.read_bytes()
+
+
 def read_text(path: Path) -> str:
     """The text of a file, in UTF-8, or in UTF-16 if it begins with a byte order mark, as Windows' shells write it.
 
     Raises:
         FileFormatError: it is binary, or text in another encoding; the message says which it is.
     """
-    data = path.read_bytes()
+    data = read_bytes(path, MAX_BYTES // 4)
     is_marked = data[:2] in (b"\xff\xfe", b"\xfe\xff")
     bad = None
     try:

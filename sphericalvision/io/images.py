@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, FileFormatError, ShapeError, check_choice, check_file
-from sphericalvision.io.files import write_bytes
+from sphericalvision.io.files import read_bytes, write_bytes
 
 MAX_PIXELS = 2**27
 """Pixels of all pages of an image file together; a file that says it has more is refused before it is decoded."""
@@ -274,7 +274,7 @@ def _white_of_pnm(path: str | Path) -> int | None:
 def _decoded(path: str | Path, what: str, image_size: Size | None = None) -> list[Array]:
     """All pages as OpenCV decodes them, after what ``read_pages`` checks."""
     path = check_file(path, what)
-    return _decode(np.fromfile(path, dtype=np.uint8), path, what, image_size)
+    return _decode(np.frombuffer(read_bytes(path, MAX_PIXELS * 16), np.uint8), path, what, image_size)
 
 
 def _decode(encoded: Array, path: str | Path, what: str, image_size: Size | None = None) -> list[Array]:

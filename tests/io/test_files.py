@@ -16,9 +16,17 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from sphericalvision.core import MissingFileError, check_file
-from sphericalvision.io.files import atomic_write, by_numbers, list_folder, part_of_name, write_bytes
-from sphericalvision.io.images import write_image, write_mask, write_pages
+from sphericalvision.cameras import read_camera
+from sphericalvision.core import FileFormatError, MissingFileError, check_file
+from sphericalvision.io.files import (
+    atomic_write,
+    by_numbers,
+    list_folder,
+    part_of_name,
+    read_text,
+    write_bytes,
+)
+from sphericalvision.io.images import read_image, write_image, write_mask, write_pages
 from sphericalvision.io.yaml_files import write_yaml
 
 
@@ -167,6 +175,16 @@ def test_names_from_elsewhere_lead_nowhere(name: str, tmp_path: Path) -> None:
     write_bytes(file, b"x")
     assert [path.relative_to(tmp_path).parts[0] for path in tmp_path.rglob("*.png")] == ["inside"]
     assert file.parent == tmp_path / "inside"
+
+
+@pytest.mark.parametrize("read", [read_text, read_image, read_camera])
+def test_a_file_that_claims_to_be_larger_than_machines_is_refused(
+    tmp_path: Path, read: Callable[[Path], object]
+) -> None:
+    with (tmp_path / "cameras.bin").open("wb") as file:
+        file.truncate(2**40)  # which takes no space
+    with pytest.raises(FileFormatError, match=r"cameras\.bin: has 1,099,511,627,776 bytes"):
+        read(tmp_path / "cameras.bin")
 
 
 def test_plain_names_stay_and_others_stay_apart() -> None:

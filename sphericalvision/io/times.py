@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left
+from calendar import timegm
 from collections.abc import Iterable, Sequence
 
 from sphericalvision.io.files import by_numbers
@@ -20,7 +21,10 @@ _NANOSECONDS_FROM = 1e13
 """Larger numbers are nanoseconds, since 1970 or since a device was switched on hours ago."""
 _SINCE_1970 = 1e9
 """Seconds; no count, resolution or date of a file's name is as large."""
-_DATE = re.compile(r"(19|20)\d\d(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])([01]\d|2[0-3])([0-5]\d){2}(\d{3})?")
+_DATE = re.compile(
+    r"((?:19|20)\d\d)(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])[_-]?([01]\d|2[0-3])([0-5]\d)([0-5]\d)(?:\.?(\d{3}))?"
+)
+"""Year, month, day, hour, minute, second and, of some phones, milliseconds."""
 
 
 def seconds(names: Sequence[str]) -> list[float | None]:
@@ -30,8 +34,9 @@ def seconds(names: Sequence[str]) -> list[float | None]:
     seconds by its magnitude; or two numbers, seconds and their fraction in nanoseconds, or in microseconds where no
     name of all has more than six digits of it and seconds are since 1970. A word before the first underscore
     (``cloud_...``) may stand before times since 1970, in nanoseconds or with decimals: ``frame_12`` is a count,
-    ``1920_1080`` a size. Dates (``20240131_235959``, ``20240131235959``) are no times, as they do not tell
-    fractions of seconds.
+    ``1920_1080`` a size. Dates (``20240131_235959``, ``20240131235959``) are times where all tell milliseconds
+    (``PXL_20240131_235959123``), too. Decimals of unequal lengths up to nine, some of which end in 0, are nanoseconds
+    without the zeros in front: no program writes fractions so.
 
     Examples:
         >>> seconds(["cloud_1700000000_250000000", "1700000000.25", "1700000000250000000", "1.70000000025e+18"])
@@ -42,8 +47,13 @@ def seconds(names: Sequence[str]) -> list[float | None]:
         [12.0, None, 12.5, None, None]
     """
     stems = [re.sub(r"^[A-Za-z]+_(?=\d)", "", name) for name in names]
-    if all(map(_DATE.fullmatch, stems)):
-        return [None] * len(names)
+    dates = [date for stem in stems if (date := _DATE.fullmatch(stem))]
+    if len(dates) == len(stems):
+        return [_of_date(date) if all(date[7] for date in dates) else None for date in dates]
+    decimals = [stem.partition(".")[2] for stem in stems]
+    is_unpadded = any(re.fullmatch(r"\d+0", text) and len(text) < 9 for text in decimals)
+    if is_unpadded and max(map(len, decimals)) == 9:
+        stems = [stem.replace(".", "_") for stem in stems]
     matches = [_PARTS.fullmatch(stem) for stem in stems]
     is_nano = any(len(part[2]) > 6 for part in matches if part)
     times = [
@@ -56,6 +66,11 @@ def seconds(names: Sequence[str]) -> list[float | None]:
         else None
         for name, stem, part, time in zip(names, stems, matches, times, strict=True)
     ]
+
+
+def _of_date(date: re.Match[str]) -> float:
+    *parts, milliseconds = map(int, date.groups())
+    return timegm((*parts, 0, 0, 0)) + milliseconds / 1000
 
 
 def _of_number(text: str) -> float | None:

@@ -163,6 +163,43 @@ def test_a_stamp_that_was_not_set_is_no_time(tmp_path: Path) -> None:
     assert source.names(Selection()) == [str(TIME + step * 10**8) for step in range(1, 19)]
 
 
+@pytest.mark.parametrize(
+    ("zeros", "delays", "source"),
+    [
+        (
+            (10**9 - TIME, 4 * 10**9 - TIME),
+            (0, 0),
+            "received",
+        ),  # devices that count from when they were switched on
+        ((0, 18 * 10**12), (0, 0), "received"),  # another time zone
+        ((0, 0), (0, 3 * 10**9), "stamps"),  # a slow way
+        ((10**9 - TIME, 10**9 - TIME), (10**7, 2 * 10**7), "stamps"),
+    ],
+)
+def test_stamps_of_clocks_of_their_own_are_not_compared(
+    tmp_path: Path, zeros: tuple[int, int], delays: tuple[int, int], source: str
+) -> None:
+    """Images are of one moment by the better of the two clocks, and it is said where stamps do not count."""
+    messages = [
+        (
+            f"/{name}/image",
+            TIME + step * 10**8 + zero,
+            TIME + step * 10**8 + delay,
+            np.full_like(PICTURE, step),
+        )
+        for name, zero, delay in zip(RIG.names, zeros, delays, strict=True)
+        for step in range(60)
+    ]
+    bag = open_source(str(write_bag(tmp_path / "run", sorted(messages, key=lambda message: message[2]))), RIG)
+    assert source in bag.pairing
+    assert len(bag.notes) == (source == "received")
+    frames = list(bag.frames(Selection(), lambda _: True))
+    assert len(frames) == 60
+    for frame in frames:
+        first, second = (frame.images or {}).values()
+        np.testing.assert_array_equal(first, second)
+
+
 TOPICS: dict[str, tuple[list[str], tuple[str, str], dict[str, str] | None]] = {
     "names between slashes": (["/b/image", "/a/image"], ("a", "b"), {"a": "/a/image", "b": "/b/image"}),
     "names as words": (

@@ -313,6 +313,7 @@ CANDIDATES = {  # what lies in a folder, and what of it is meant; None where tha
     "previews alone": (["{camera}.LRV"], ".LRV"),
     "previews of another name": (["VID_1.insv", "LRV_1.insv"], "VID_1"),
     "thumbnails": (["{camera}/1.png", "{camera}/1.jpg"], None),
+    "images and their depth": (["{camera}/1.png", "{camera}/1_depth.png"], None),
     "pictures next to folders of them": (["{camera}/1.png", "{camera}_1.png"], None),
     "two videos": (["a.mp4", "b.mp4"], None),
     "a video and pictures of it": (["{camera}.mp4", "{camera}/1.png"], None),
@@ -365,7 +366,7 @@ def test_masks_lie_side_by_side_as_their_images(tmp_path: Path) -> None:
         assert files == [tmp_path / "mask.png"]
         assert sorted(masked.masks) == sorted(cameras or rig.names)
         assert all((mask == masks[name]).all() for name, mask in masked.masks.items())
-    with pytest.raises(FileFormatError, match=r"mask\.png: expected masks of 96 x 64 pixels"):
+    with pytest.raises(FileFormatError, match=r"mask\.png: masks\['a'\]: expected shape \(64, 96\)"):
         rig_with_masks(rig.resized(dict.fromkeys(rig.names, (64, 96))), str(tmp_path / "mask.png"))
 
 
@@ -391,3 +392,17 @@ def test_a_video_cut_short_is_told(tmp_path: Path) -> None:
             assert len(frames) == 10
             assert frames[0].images is not None
             assert "of the 10 frames that its header promises" in str(frames[-1].error)
+            content = bytearray(content)
+            for chunk, offset in (
+                (b"avih", 24),
+                (b"strh", 40),
+            ):  # numbers of frames, which are read before these are
+                start = content.index(chunk) + offset
+                content[start : start + 4] = (2**31 - 1).to_bytes(4, "little")
+            cut.write_bytes(content)
+            source, told = opened(str(cut), one)
+            assert len(source.names(Selection()) or []) == 10
+            assert "that its header promises" in " ".join(told)
+    for moments in (range(10), range(5, 10)):  # a header counts from its own beginning
+        write_streams(tmp_path / "late.mkv", [("cam1", moments)])
+        assert opened(str(tmp_path / "late.mkv"), one)[1] == []

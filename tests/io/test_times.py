@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from time import gmtime, strftime
 
 import pytest
 
@@ -20,6 +21,10 @@ SPELLINGS: dict[str, Callable[[int], str]] = {  # of whole microseconds since 19
     "sec_nsec": lambda time: f"{time // 10**6}_{time % 10**6 * 1000}",
     "sec_nsec, padded": lambda time: f"{time // 10**6}_{time % 10**6 * 1000:09d}",
     "sec_usec": lambda time: f"{time // 10**6}_{time % 10**6:06d}",
+    "sec.nsec without zeros in front": lambda time: f"{time // 10**6}.{time % 10**6 * 1000}",
+    "a phone's date": lambda time: (
+        f"PXL_{strftime('%Y%m%d_%H%M%S', gmtime(time // 10**6))}{time // 1000 % 1000:03d}"
+    ),
     "after a word": lambda time: f"cloud_{time // 10**6}_{time % 10**6 * 1000:09d}",
 }
 

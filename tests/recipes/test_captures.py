@@ -146,6 +146,7 @@ LABELS: dict[str, tuple[list[str], list[str], list[str], list[str] | None]] = {
     "the order, from 0": (["0", "1", "2"], NAMES, ["cam2"], ["1"]),
     "the order, from 7": (["7", "8"], ["front", "back"], ["back"], ["8"]),
     "which of three": (["0", "1", "2"], ["front", "back"], ["front", "back"], None),
+    "numbers against the order": (["0", "1"], ["cam2", "cam1"], ["cam2", "cam1"], None),
     "from 0, of some": (["0", "1"], NAMES, ["cam1"], None),
     "a number twice": (["1", "01", "2"], ["cam1", "cam2"], ["cam1", "cam2"], None),
     "other names": (["left", "right"], ["front", "back"], ["front", "back"], None),

@@ -46,6 +46,10 @@ CHANNELS = {
 """Of raw pictures, by encoding; 8UC3 and 8UC4 are OpenCV's, whose first channel is blue."""
 DEPTH = re.compile("(16|32|64)|.*compressedDepth")
 """Encoding or format of images whose values are no brightness."""
+STEADY = 0.3
+"""Seconds by which the time from a stamp to its receipt may vary."""
+MAX_DELAY = 10.0
+"""Seconds that an image may take from the camera to the bag."""
 MOSAIC = re.compile(r"bayer_([rgb]{4})8")
 """Encoding of what a sensor with a mosaic of colours saw."""
 Picture = npt.NDArray[Any]
@@ -116,15 +120,20 @@ class Bag(Recording):
             ("the stamps in their headers", stamps),
             ("the times at which the bag received them", received),
         ]
+        gap = _between_clocks(stamps, received)
         moments = pair_moments(
             messages,
             [
                 Clock(source, {c: {n: t and t / 1e9 for n, t in own.items()} for c, own in times.items()})
-                for source, times in clocks
+                for source, times in clocks[gap is not None :]
             ],
             tolerance,
             names="their numbers",
         )
+        if gap is not None:
+            moments.warnings.insert(
+                0, f"images: {path}: {clocks.pop(0)[0]} are of clocks {gap}: {clocks[0][0]} count"
+            )
         for name, count in damaged.items():
             moments.warnings.append(
                 f"images: {path}: {count} damaged message(s) of {self.topics[name]} are left out"
@@ -247,6 +256,26 @@ class Bag(Recording):
         return _picture_of(content, f"{self.path}: {topic}")
 
 
+def _between_clocks(
+    stamps: Mapping[str, Mapping[str, int | None]], received: Mapping[str, Mapping[str, int]]
+) -> str | None:
+    """How far apart the clocks of cameras are, which count from when each was switched on; None of one clock.
+
+    Each camera's images are received a steady time after their stamps, and not the same time. On a slow way that is up
+    to ``MAX_DELAY`` with one clock, too; what comes in bursts tells nothing.
+    """
+    medians = {}
+    for camera, own in stamps.items():
+        delays = np.array([received[camera][n] - stamp for n, stamp in own.items() if stamp]) / 1e9
+        if not len(delays) or np.ptp(np.quantile(delays, [0.1, 0.9])) > STEADY:
+            return None
+        medians[camera] = float(np.median(delays))
+    first, last = (choose(medians, key=medians.__getitem__) for choose in (min, max))
+    if medians[last] - medians[first] <= STEADY or 0 <= medians[first] <= medians[last] <= MAX_DELAY:
+        return None
+    return f"{medians[last] - medians[first]:.3g} s apart ({first} and {last})"
+
+
 def _topics(
     topics: Sequence[str], names: Sequence[str], used: Sequence[str], chosen: Mapping[str, str], path: Path
 ) -> dict[str, str]:
@@ -264,14 +293,14 @@ def _topics(
     """
     # What image_transport publishes raw and compressed is one picture, of which the raw one is as it was taken.
     single = [topic for topic in topics if topic.removesuffix("/compressed") not in set(topics) - {topic}]
-    own = {name: [chosen[name]] if name in chosen else _topics_named(single, name) for name in used}
-    if all(len(matches) == 1 for matches in own.values()) and len(
-        {topic for (topic,) in own.values()}
-    ) == len(used):
-        lacking = [topic for (topic,) in own.values() if topic not in topics]
-        if not lacking:
-            return {name: topic for name, (topic,) in own.items()}
-    elif not any(own.values()) and (numbered := _numbered(single)):
+    own = {
+        name: sorted({chosen[name]} & set(topics)) if name in chosen else _topics_named(single, name)
+        for name in used
+    }
+    single_topics = {topic for matches in own.values() if len(matches) == 1 for topic in matches}
+    if len(single_topics) == len(used):
+        return {name: topic for name, (topic,) in own.items()}
+    if not chosen and not any(own.values()) and (numbered := _numbered(single)):
         labels = labels_by_number(list(numbered), names, used)
         if labels is not None:
             return {name: numbered[label] for name, label in labels.items()}

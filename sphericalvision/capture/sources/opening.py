@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras.calibration.parsing import errors_of_file
 from sphericalvision.capture.sources.bags import Bag, bag_of
 from sphericalvision.capture.sources.frames import Source
 from sphericalvision.capture.sources.image_files import IMAGE_SUFFIXES, ImageFiles
@@ -17,7 +18,7 @@ from sphericalvision.capture.sources.joined_views import split_views
 from sphericalvision.capture.sources.live import LiveCameras
 from sphericalvision.capture.sources.patterns import EXAMPLE, files_of, find_files, find_labels
 from sphericalvision.capture.sources.videos import VIDEO_SUFFIXES, Videos
-from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
+from sphericalvision.core import ArgumentError, MissingFileError
 from sphericalvision.io.images import read_mask
 from sphericalvision.io.times import SAME_TIME
 
@@ -265,14 +266,8 @@ def rig_with_masks(
     path = Path(masks).expanduser()
     if "{" not in masks and path.is_file() and len(rig) > 1:
         views = split_views(read_mask(path, what="a mask of all views"), rig)
-        for name in names:
-            height, width = rig.cameras[name].image_size
-            if views[name].shape != (height, width):
-                raise FileFormatError(
-                    f"{path}: expected masks of {width} x {height} pixels (width x height, from the calibration) side "
-                    f"by side, got {views[name].shape[1]} x {views[name].shape[0]} for {name}"
-                )
-        return rig.replaced(masks={name: views[name].contiguous() for name in names}), [path]
+        with errors_of_file(str(path)):
+            return rig.replaced(masks={name: views[name].contiguous() for name in names}), [path]
     if "{camera}" not in masks or "{frame" in masks:
         raise ArgumentError(
             "masks: expected a pattern with {camera} only, such as 'capture/cam{camera}/mask.png', or one image with "

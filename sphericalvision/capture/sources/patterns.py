@@ -48,6 +48,8 @@ def find_files(
     if labels is None:
         labels = find_labels(pattern, names, leave_out=leave_out, key=key)
     files = {name: files_of(pattern, labels[name], excluded) for name in names}
+    if requested is None:
+        _check_one_kind({name for own in files.values() for name in own}, pattern, key)
     clocks = _clocks(files)
     moments = pair_moments(files, clocks, tolerance, key)
     if not clocks:  # equal names say themselves what belongs together
@@ -73,6 +75,19 @@ def find_files(
             f"{key}: {path}: no such file. The first frames there are {hint}. Correct frames= or the pattern"
         )
     return moments._replace(frames={frame: moments.frames[frame] for frame in requested}, warnings=[])
+
+
+def _check_one_kind(names: Iterable[str], pattern: str, key: str) -> None:
+    """Refuse frames that differ in what stands behind their number: images, and their depth or masks."""
+    first: dict[str, str] = {}
+    for name in sorted(names):
+        stem = re.sub(r"\D+$", "", name)
+        if stem and first.setdefault(stem, name) != name:
+            numbers = pattern.replace("{frame}", f"{{frame:0{len(stem)}d}}")
+            raise ArgumentError(
+                f"{key}: {pattern!r} has several kinds of files, such as images and their depth or masks: "
+                f"{first[stem]} and {name}. Name one: {numbers!r} for numbers alone, or with what stands behind them"
+            )
 
 
 def _clocks(files: Mapping[str, Mapping[str, Path]]) -> list[Clock]:
@@ -144,7 +159,7 @@ def labels_by_number(
     """Labels of cameras that are numbers: the last number in a camera's name, or the cameras' order.
 
     The number in the name counts where every camera has a label of its number, or where no label is of another number;
-    the order counts where there are as many labels as cameras.
+    the order counts where there are as many labels as cameras, unless numbers in the names are in another one.
 
     Args:
         labels: that there are, ``"00"`` or ``"1"``.
@@ -171,7 +186,8 @@ def labels_by_number(
         everything = set(numbers.values())
         if everything <= by_number.keys() or needed <= by_number.keys() <= everything:
             return {name: by_number[numbers[name]] for name in used}
-    if len(by_number) != len(names):
+    order = [numbers[name] for name in names if name in numbers]
+    if len(by_number) != len(names) or (len(set(order)) == len(names) and order != sorted(order)):
         return None
     in_turn = dict(zip(names, sorted(by_number), strict=True))
     return {name: by_number[in_turn[name]] for name in used}

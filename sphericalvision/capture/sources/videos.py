@@ -33,6 +33,8 @@ VIDEO_SUFFIXES = (
         ".ts",
     ),  # of 360 cameras and camcorders, maybe of several streams
 )
+MAX_MISSING = 2**20
+"""Pictures that a header may count behind the end of a file; nine hours of them. A damaged one counts billions."""
 Picture = npt.NDArray[np.uint8]
 
 
@@ -133,20 +135,21 @@ def _missing(path: Path, container: Any, stream: Any, times: Sequence[float | No
 
     step = float(1 / (stream.average_rate or 1))
     length, slack = float((stream.duration or 0) * stream.time_base), 2 * step
-    if not length:
-        length = (container.duration or 0) / av.time_base
-        slack = 1.0 if len(container.streams) > 1 else slack  # sound may be longer than pictures
     first, last = (times[0], times[-1]) if times else (None, None)
+    if not length:  # then it is the container's, which counts from its own beginning
+        length, first = (container.duration or 0) / av.time_base, None if first is None else min(first, 0.0)
+        slack = 1.0 if len(container.streams) > 1 else slack  # sound may be longer than pictures
     covered = 0.0 if first is None or last is None else last - first + step
     if not is_cut and covered >= length - slack:
         return 0
-    if not stream.frames:
+    missing = max(stream.frames - len(times), 0)
+    if not stream.frames or missing > MAX_MISSING:
         warnings.warn(
             f"{path}: pictures end after {covered:.3g} s of the {length:.3g} s that its header promises; if it was "
             "cut, copy it again",
             stacklevel=6,
         )
-    return max(stream.frames - len(times), 0)
+    return missing if missing <= MAX_MISSING else 0
 
 
 @contextmanager

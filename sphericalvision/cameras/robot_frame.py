@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from pathlib import Path
 
 import torch
@@ -19,6 +20,8 @@ OPTICAL_FROM_ROS = torch.tensor(
     [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
 """From a robot's axes, x forward, y left, z up (REP 103), to x right, y down, z forward."""
+FAR = 50.0
+"""Metres between a rig and the frame of what carries it, from which on the unit is asked about."""
 CERTAIN = 0.5
 """Length of the mean of unit vectors from which on they agree about a direction."""
 
@@ -66,12 +69,17 @@ def read_pose(path: str | Path, key: str) -> Float[Tensor, "4 4"]:
     rows = [re.sub(r"[\[\](),;]|\barray\b", " ", line.split("#")[0]).split() for line in lines]
     entries = [entry for row in rows for entry in row]
     if {len(row) for row in rows if row} in ({4}, {12}, {16}) and len(entries) in (12, 16):
-        return transform_from_rows(numbers(entries, str(path)), str(path))
-    poses = read_trajectory(path).world_from_camera
+        poses = transform_from_rows(numbers(entries, str(path)), str(path))[None]
+    else:
+        poses = read_trajectory(path).world_from_camera
     if len(poses) != 1:
         raise ArgumentError(
             f"{key}: expected one pose, a matrix of 3 or 4 rows of 4 numbers or a line 'time x y z qx qy qz qw', got "
             f"{len(poses)} in {path}"
+        )
+    if (distance := float(poses[0, :3, 3].norm())) > FAR:
+        warnings.warn(
+            f"{key}: {path} is {distance:.4g} m away; expected metres, are these millimetres?", stacklevel=3
         )
     return poses[0]
 

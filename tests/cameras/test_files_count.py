@@ -52,7 +52,12 @@ def test_images_of_colmap_agree_with_frames_and_rigs(tmp_path: Path, suffix: str
 
 
 @pytest.mark.parametrize(
-    "damage", [lambda text: text[:-8], lambda text: text.replace("CAMERA 2", "CAMERA x")]
+    "damage",
+    [
+        lambda text: text[:-8],
+        lambda text: text.replace("CAMERA 2", "CAMERA x"),
+        lambda text: text.replace("CAMERA 2", "CAMERA 1"),  # of another camera than its image
+    ],
 )
 def test_damaged_frames_of_colmap(tmp_path: Path, damage: Any) -> None:
     images = moving_rig(tmp_path, ".txt")
@@ -103,9 +108,14 @@ def test_numbers_of_calibrations_have_bounds(tmp_path: Path) -> None:
     (tmp_path / "far.json").write_text(far)
     with pytest.raises(FileFormatError, match="m from the origin"):
         read_rig(tmp_path / "far.json")
-    (tmp_path / "cameras.txt").write_text("1 SIMPLE_PINHOLE 640 480 4.2 320 240\n")
-    with pytest.warns(UserWarning, match="focal length of cam1.*millimetres"):
-        read_camera(tmp_path / "cameras.txt")
+    for lens, doubt in (
+        ("SIMPLE_PINHOLE 640 480 4.2 320 240", "focal length .*millimetres"),
+        ("PINHOLE 640 480 400 4000 320 240", "focal length "),
+        ("SIMPLE_RADIAL 640 480 400 320 240 -380", "another unit"),
+    ):
+        (tmp_path / "cameras.txt").write_text(f"1 {lens}\n")
+        with pytest.warns(UserWarning, match=f"cam1: .*{doubt}"):
+            read_camera(tmp_path / "cameras.txt")
 
 
 def test_keys_of_a_frame_count_before_those_of_the_file() -> None:

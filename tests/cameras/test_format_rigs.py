@@ -393,7 +393,11 @@ def test_bad_frames_and_disabled_cameras_are_left_out_with_a_warning(tmp_path: P
     content = sample("transforms.json")
     names = read_rig(dump(tmp_path / "all.json", content)).names
     content["frames"][0]["is_bad"], content["frames"][1]["is_bad"] = True, False
-    with pytest.warns(UserWarning, match="1 left out.*is_bad"):
+    content["frames"][1]["mask_path"] = "masks/b.png"
+    with (
+        pytest.warns(UserWarning, match="1 left out.*is_bad"),
+        pytest.warns(UserWarning, match="left out, masks .*masks/b.png"),
+    ):
         assert read_rig(dump(tmp_path / "some.json", content)).names == names[1:]
     chunk = TEXTS["chunk.xml"]
     path = dump(tmp_path / "cameras.xml", chunk.replace('label="DSC_1"', 'label="DSC_1" enabled="false"'))

@@ -39,6 +39,12 @@ def test_a_pose_is_the_same_however_it_is_written(tmp_path: Path, write: Callabl
     )
 
 
+def test_an_offset_that_no_robot_has_is_asked_about(tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "base.txt", POSE * [1, 1, 1, 1000] - np.diag([0, 0, 0, 999]))
+    with pytest.warns(UserWarning, match=r"frame: .*base\.txt is 1300 m away"):
+        read_pose(tmp_path / "base.txt", "frame")
+
+
 @pytest.mark.parametrize(
     "content",
     [

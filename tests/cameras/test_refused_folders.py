@@ -26,6 +26,7 @@ from tests.cameras.test_format_rigs import (
     Files,
     write,
 )
+from tests.cameras.test_understood import FIVE, MESSAGE
 
 GROUP = '<group id="0" label="second"><camera id="7" sensor_id="0" label="DSC_1"><transform>'
 GROUP += "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1</transform></camera></group></cameras>"
@@ -103,6 +104,11 @@ REFUSED: list[tuple[Files, dict[str, Any], str, str]] = [  # files, what is give
     ({"a.xml": TEXTS["chunk.xml"].replace("</cameras>", GROUP)}, {}, "a.xml", "'DSC_1': a second camera has"),
     ({"transforms.json": ALL_BAD}, {}, ".", "is_bad"),
     *((split_by(key, "1122"), {}, ".", key) for key in ("timestamp_us", "time", "serial_number")),
+    ({"reconstruction.json": [sample("reconstruction.json")] * 2}, {}, ".", "holds a list of 2: OpenSfM"),
+    ({"a.xml": TEXTS["chunk.xml"].replace("</chunk>", "</chunk><chunk/>")}, {}, "a.xml", "got a list of 2; keep one"),
+    ({f"cam{k}/sensor.yaml": TEXTS["sensor.yaml"] for k in ("0", "1", "1_old")}, {}, ".", "cam1_old next to cam0"),
+    ({"cam0/sensor.yaml": TEXTS["sensor.yaml"], "rig.yaml": MASKED}, {}, ".", "rig.yaml and cam0/sensor.yaml"),
+    ({"info.yaml": MESSAGE | {"distortion_model": "", "d": FIVE[:4]}}, {}, "info.yaml", "distortion_model: expected"),
     ({"a.jsonl": f"{json.dumps(sample('device.json'))}\n" * 2}, {}, "a.jsonl", "several values"),
     ({"a.json": f"{json.dumps(sample('device.json'))}\n" * 2}, {}, "a.json", "keep one"),
 ]  # fmt: skip

@@ -145,6 +145,9 @@ def test_images_of_colmap_come_in_the_order_of_their_names(file: str, tmp_path: 
         read_trajectory(tmp_path / "sparse")
 
 
+SEVERAL = "t x y z qw qx qy qz {}\n0 0 0 0 1 0 0 0 0\n1 0 0 0 1 0 0 0 0\n2 0 0 0 1 0 0 0 1"
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -159,6 +162,10 @@ def test_images_of_colmap_come_in_the_order_of_their_names(file: str, tmp_path: 
         ("-1 0 0 0 0 1 0 0 0 0 1 0", r"line 1: expected a rotation.*got a mirror \(determinant -1\)"),
         *((decimal_commas(text), "line 2: decimals have commas") for text in COMMAS),
         ("1 0 0 0 0 2 0 0 0 0 1 0", "line 1: expected a rotation"),
+        *(
+            (SEVERAL.format(name), f"2 values of '{name}'")
+            for name in ("camera_id", "tracking_lost", "session")
+        ),
     ],
 )
 def test_broken_files_are_told_by_their_line(text: str, message: str, tmp_path: Path) -> None:

@@ -252,6 +252,7 @@ def test_distortion_is_read_under_all_its_names(tmp_path: Path, key: str) -> Non
 )  # fmt: skip
 def test_models_are_those_of_a_closed_list(tmp_path: Path, model: str, count: int, found: str) -> None:
     content = ROS | {"distortion_model": model, "distortion_coefficients": [0.01] * count}
+    content["camera_model"] = "pinhole"  # which any camera is to some
     path = dump(tmp_path / "camera.yaml", content)
     if found.endswith("Camera"):
         assert type(read_camera(path)).__name__ == found
@@ -359,6 +360,7 @@ def test_files_of_other_programs_are_named(tmp_path: Path, name: str, text: str,
         ("plain.yml", "image_width", "marker_size: 12.0\nframesCount: 3\nused_imgs: [0]\nimage_width"),
         ("image001.xmp", "xcr:Skew", 'xcr:latitude="48.1" xcr:version="2.2" xcr:Skew'),
         ("panorama.xml", "</height>", "</height><f>916.7324722</f>"),
+        ("chunk.xml", "</p2></calibration>", '</p2></calibration><calibration class="initial"><f>9</f></calibration>'),
         ("chunk.xml", "</sensor>", "<photo_params>b1</photo_params><antenna/></sensor>"),
     ],
 )  # fmt: skip

@@ -11,6 +11,7 @@ References:
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +38,14 @@ _LENSES = (
 
 
 def files_of_rig(folder: Path) -> list[Path]:
-    """``cam0/sensor.yaml``, ``cam1/sensor.yaml``, ... of the folder."""
-    return sorted(folder.glob(f"cam*/{_NAME}"), key=by_numbers)
+    """``cam0/sensor.yaml``, ``cam1/sensor.yaml``, ... of the folder, next to which there is no copy ``cam1_old``."""
+    files = sorted(folder.glob(f"cam*/{_NAME}"), key=by_numbers)
+    others = [file.parent.name for file in files if not re.fullmatch(r"cam\d+", file.parent.name)]
+    if 0 < len(others) < len(files):
+        raise ArgumentError(
+            f"path: {folder} holds {', '.join(others)} next to cam0, cam1, ...; move what is a copy"
+        )
+    return files
 
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:

@@ -19,7 +19,7 @@ from sphericalvision.cameras.calibration.poses import transform_from_numbers
 from sphericalvision.cameras.calibration.text_files import data_lines
 from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import invert_transform
-from sphericalvision.io.files import read_text
+from sphericalvision.io.files import read_bytes, read_text
 
 Record = TypeVar("Record")
 
@@ -162,6 +162,11 @@ def _check_frames(images: list[ImageRecord], frames: list[FrameRecord], rigs: li
         rig_from_world = _transform(frame.pose, frame.where)
         for id, sensor in frame.images.items():
             image, offset = by_id.get(id), sensor_from_rig.get((frame.rig, *sensor))
+            if image is not None and image.camera != sensor[1]:
+                raise FileFormatError(
+                    f"{image.where}: {image.name!r:.80} is of camera {image.camera}, and of camera {sensor[1]} in its "
+                    f"frame ({frame.where}); keep the right one"
+                )
             if image is None or offset is None:  # not an image, or the sensor's place is not known
                 continue
             expected, stated = offset @ rig_from_world, _transform(image.pose, image.where)
@@ -290,7 +295,7 @@ class _Bytes:
     """A binary file, read from the front."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.data, self.at = path, path.read_bytes(), 0
+        self.path, self.data, self.at = path, read_bytes(path), 0
 
     @property
     def where(self) -> str:

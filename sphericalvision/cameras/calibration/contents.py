@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,6 +21,10 @@ from sphericalvision.core import ArgumentError, FileFormatError, short_repr
 
 SHORTEST, LONGEST = 0.02, 100.0
 """Focal lengths in longer sides of the image: a lens of 280° has 0.2, a telescope 50."""
+LEAST_SQUARE = 3.0
+"""How many times longer than the other a focal length may be: anamorphic lenses have 2."""
+LEAST_REACH = 0.05
+"""Longer sides of the image from the axis, to which a model must hold: the smallest image circles reach 0.2."""
 
 
 @dataclass(frozen=True)
@@ -64,35 +69,9 @@ class Contents:
                 f"{path}: a camera is more than {FARTHEST:g} m from the origin; expected metres"
             )
         for name, camera in self.cameras.items():
-            focal_length = getattr(camera, "focal_length", None)
-            longest = max(camera.image_size)
-            if focal_length is not None and not (
-                bool((focal_length > SHORTEST * longest).all())
-                and bool((focal_length < LONGEST * longest).all())
-            ):
-                warnings.warn(
-                    f"{path}: the focal length of {name:.80}, {focal_length.tolist()}, is implausible for an image "
-                    f"whose longer side has {longest} pixels; are these millimetres, or fractions of the image? "
-                    "Expected pixels",
-                    stacklevel=5,
-                )
-                break
-        for name, camera in self.cameras.items():
-            center = getattr(camera, "principal_point", None)
-            if center is None:
-                continue
-            height, width = camera.image_size
-            u, v = center.tolist()
-            off, turned = (
-                max(abs(u / w - 0.5), abs(v / h - 0.5)) for w, h in ((width, height), (height, width))
-            )
-            if off > 0.24 or off > 0.08 > 4 * turned:
-                exchanged = ", or are width and height exchanged" if turned < off else ""
-                warnings.warn(
-                    f"{path}: the principal point of {name:.80}, ({u:.1f}, {v:.1f}), is far from the middle of its "
-                    f"image, {width} x {height} (width x height); is the calibration for another size{exchanged}?",
-                    stacklevel=5,
-                )
+            if doubts := _doubts(camera):  # of which the first camera's are probably those of all
+                for doubt in doubts:
+                    warnings.warn(f"{path}, {name:.80}: {doubt}", stacklevel=5)
                 break
         return self
 
@@ -142,12 +121,41 @@ class Contents:
             return check_radius(rig.to(dtype=dtype or torch.get_default_dtype()), path)
 
 
-def warn_left_out(path: Path, mark: str, names: Sequence[str]) -> None:
-    """Warn of what a file itself marks as not to be used."""
+def _doubts(camera: Camera) -> list[str]:
+    """What is implausible of a camera, a sentence each."""
+    sentences, (height, width) = [], camera.image_size
+    longest = max(height, width)
+    focal_length, center = (getattr(camera, name, None) for name in ("focal_length", "principal_point"))
+    if focal_length is not None:
+        low, high = float(focal_length.min()), float(focal_length.max())
+        if low <= SHORTEST * longest or high >= LONGEST * longest or high > LEAST_SQUARE * low:
+            sentences.append(
+                f"the focal length {focal_length.tolist()} is implausible for an image of {width} x {height} (width x "
+                "height); are these millimetres, or fractions of the image? Expected pixels, about as many in x as in y"
+            )
+        elif float(camera.max_angle) * high < LEAST_REACH * longest:
+            sentences.append(
+                f"its model ends {math.degrees(camera.max_angle):.2g}° from the axis, far inside the image; are the "
+                "coefficients of the distortion those of another model, or of another unit?"
+            )
+    if center is not None:
+        u, v = center.tolist()
+        off, turned = (max(abs(u / w - 0.5), abs(v / h - 0.5)) for w, h in ((width, height), (height, width)))
+        if off > 0.24 or off > 0.08 > 4 * turned:
+            exchanged = ", or are width and height exchanged" if turned < off else ""
+            sentences.append(
+                f"the principal point ({u:.1f}, {v:.1f}) is far from the middle of its image, {width} x {height} "
+                f"(width x height); is the calibration for another size{exchanged}?"
+            )
+    return sentences
+
+
+def warn_left_out(path: Path, reason: str, names: Sequence[str]) -> None:
+    """Warn of what is left out, if anything is."""
     if names:
         names = [f"{name:.80}" for name in names]
         first = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
-        warnings.warn(f"{path}: {len(names)} left out, which the file marks as {mark}: {first}", stacklevel=5)
+        warnings.warn(f"{path}: {len(names)} left out, {reason}: {first}", stacklevel=5)
 
 
 class Gathered:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import nullcontext, suppress
 from pathlib import Path
 
 import torch
@@ -93,14 +94,9 @@ def read_camera(
         path: a file or folder of any format that ``read_rig`` knows, or one of a single camera: OCamCalib's text file,
             COLMAP's ``cameras.txt``, KITTI-360's ``image_02.yaml``, Lafida's ``InteriorOrientationFisheye0.yaml``.
         name: which camera, if there are several: ``cam0``, ``cam1``, ... or its name in the file.
-        max_angle: half the field of view in radians. By default that of the file or, if it states none, the angle at
-            the farthest pixel of the image.
-        image_size: (height, width) of the images, for files that do not tell (some of OpenCV's, and scenes of NeRF).
-        dtype: of the intrinsics, by default torch's default, float32; ``torch.float64`` keeps all digits of the file.
+        max_angle: half the field of view in radians, as of ``read_rig``; so are ``image_size``, ``dtype`` and errors.
 
     Raises:
-        MissingFileError: there is nothing at ``path``.
-        FileFormatError: the format is unknown, or the file is broken; the message names line or key.
         ArgumentError: there are several cameras and no ``name``, or none of that name.
 
     Examples:
@@ -150,13 +146,17 @@ def _read(path: Path, options: Options) -> Contents:
             _check_unit(path, format, options)
             return format.contents_of_file(path, options).checked(path)
     content = load(path) if looks_structured(path) else None
-    if isinstance(content, list) and len(content) == 1:
-        content = content[0]
+    entries = content if isinstance(content, list) else [content]
+    content = entries[0] if entries else None
     for format in file_formats():
         if not isinstance(content, Keys):
             break
         if format.recognizes_keys and format.contents_of_keys and format.recognizes_keys(content):
             _check_unit(path, format, options)
+            if len(entries) > 1:
+                raise FileFormatError(
+                    f"{path}: holds a list of {len(entries)}: {format.title}; keep one of them"
+                )
             content.forget()
             calibration = format.contents_of_keys(content, path, options)
             check_understood(content, str(path), format.ignored)
@@ -166,7 +166,7 @@ def _read(path: Path, options: Options) -> Contents:
 
 
 _OTHERS = (
-    ("Facebook Surround 360's rig", r"\bforward\b[\s\S]*\borigin\b|\borigin\b[\s\S]*\bforward\b"),
+    ("Facebook Surround 360's rig", r"\A(?=[\s\S]*\bforward\b)[\s\S]*\borigin\b"),
     ("Kalibr's report, beside which its camchain is", r"(?m)^Camera-system parameters:"),
     ("ROS's ost.txt, beside which its ost.yaml is", r"(?m)^\[(image|narrow_stereo)"),
     ("ZED's camera file", r"(?m)^\[LEFT_CAM_"),
@@ -175,7 +175,7 @@ _OTHERS = (
     ("a Kalibr camchain whose cameras have neither camera_model nor intrinsics", r"(?m)^cam\d+:"),
     (
         "DSO's camera file",
-        r"^\s*([A-Z]\w+\s)?\s*([-+.\de]+[ \t]+){4,}[-+.\de]+\s+\d+\s+\d+\s+(crop|full|none|[\d.])",
+        r"\A([A-Z]\w+\s+)?([-+.\de]+[ \t]+){4,}[-+.\de]+\s+\d+\s+\d+\s+(crop|full|none|[\d.])",
     ),
 )
 """Programs whose files are not read, and what the text of such a file has."""
@@ -183,7 +183,7 @@ _OTHERS = (
 
 def _likely_program(path: Path) -> str:
     """What a file is that no format recognises."""
-    text = read_text(path)[:100_000]
+    text = read_text(path)[:100_000].lstrip()
     for program, pattern in _OTHERS:
         if re.search(pattern, text):
             return f"not a calibration that is read, but what looks like {program}"
@@ -212,15 +212,18 @@ def _calibration_files(path: Path) -> list[Path]:
     usual = [name for format in file_formats() for name in format.usual_names]
     per_format = [[path / name for name in f.usual_names if (path / name).is_file()] for f in file_formats()]
     matches = [files for files in per_format if files]
-    if not matches:
-        for format in file_formats():
+    for format in file_formats():
+        # A damaged file next to a calibration is no candidate; where there is none it may be a camera of a rig.
+        with suppress(FileFormatError) if matches else nullcontext():
             if format.files_of_rig and (parts := format.files_of_rig(path)):
-                return [path, *parts]
+                matches.append([path, *parts])
+    if not matches:
         hint = "; ocam*.txt are there, but no poses.txt" if any(path.glob("ocam*.txt")) else ""
         raise MissingFileError(f"{path}: none of {', '.join(usual)} in this folder{hint}; {known_formats()}")
     if len(matches) > 1:
+        names = [str((files[1] if files[0] == path else files[0]).relative_to(path)) for files in matches]
         raise ArgumentError(
-            f"path: {path} holds {' and '.join(files[0].name for files in matches)}, which may differ in scale; name "
-            "the one to read"
+            f"path: {path} holds {' and '.join(names)}, which may differ in scale; name the one to read, or move the "
+            "others"
         )
     return matches[0]

@@ -194,7 +194,8 @@ class Keys(dict[Any, Any]):
 def as_keys(value: Any, where: str) -> Keys:
     """``value`` if it is a mapping of a file, else ``FileFormatError``; ``where`` names the place in it."""
     if not isinstance(value, Keys):
-        raise FileFormatError(f"{where}: expected keys with values, got {type(value).__name__}")
+        kind = f"a list of {len(value)}; keep one" if isinstance(value, list) else type(value).__name__
+        raise FileFormatError(f"{where}: expected keys with values, got {kind}")
     return value
 
 
@@ -227,7 +228,12 @@ def check_understood(content: Any, where: str, ignored: str, way: str = "") -> N
         FileFormatError: there is one; the message names it.
     """
     if isinstance(content, list):
-        _check_one_set([inner for inner in content if isinstance(inner, Keys)], where)
+        entries = [inner for inner in content if isinstance(inner, Keys)]
+        for key in dict.fromkeys(key for entry in entries for key in entry if key not in entry.read):
+            if _SETS.fullmatch(str(key)):
+                check_one_set(
+                    key, [dict.get(entry, key) for entry in entries if dict.__contains__(entry, key)], where
+                )
         for inner in content:
             check_understood(inner, where, ignored, way)
     if not isinstance(content, Keys):
@@ -247,18 +253,22 @@ def check_understood(content: Any, where: str, ignored: str, way: str = "") -> N
             )
 
 
-def _check_one_set(entries: list[Keys], where: str) -> None:
-    """Refuse a list that an identifier splits into several sets: cameras of two moments or devices are no rig.
+def check_one_set(key: str, values: Iterable[Any], where: str) -> None:
+    """Refuse entries that an identifier splits into several sets: cameras of two moments or devices are no rig.
 
     Identifiers that all differ name the entries, as the times of a camera that moves do.
+
+    Args:
+        key: of the identifier.
+        values: of the entries that have it.
+        where: the file, in errors.
     """
-    for key in dict.fromkeys(key for entry in entries for key in entry if key not in entry.read):
-        values = [str(dict.get(entry, key)) for entry in entries if dict.__contains__(entry, key)]
-        if _SETS.fullmatch(str(key)) and 1 < len(set(values)) < len(values):
-            raise FileFormatError(
-                f"{where}: the entries have {len(set(values))} values of {key!r} ({short_repr(sorted(set(values)))}), "
-                "as of several moments or devices; keep those of one"
-            )
+    texts = list(map(str, values))
+    if 1 < len(set(texts)) < len(texts):
+        raise FileFormatError(
+            f"{where}: the entries have {len(set(texts))} values of {key!r} ({short_repr(sorted(set(texts)))}), "
+            "as of several moments or devices; keep those of one"
+        )
 
 
 def _never_matters(key: str) -> bool:

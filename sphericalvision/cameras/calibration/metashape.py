@@ -79,7 +79,9 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     for sensor in _each(chunk.get("sensors"), "sensor"):
         name = f"cam{sensor.get('id')}"
         where = f"{path}, sensor {sensor.get('id')!s:.80}"
-        if calibrations := list(_each(sensor, "calibration")):  # the adjusted one stands last
+        # The adjusted one counts, wherever it stands; of several, and where none is called so, the last.
+        calibrations = sorted(_each(sensor, "calibration"), key=lambda own: own.get("class") == "adjusted")
+        if calibrations:
             sensor["calibration"] = calibrations[-1:]
             sensors.add(name, _camera(calibrations[-1], sensor, where), where)
         elif str(sensor.get("type")).strip() == "spherical":  # a panorama has nothing to calibrate
@@ -151,7 +153,7 @@ def _of_cameras(
         poses.append(pose)
     if not cameras:
         raise FileFormatError(f"{path}: no camera in it is enabled and has a transform")
-    warn_left_out(path, "disabled", disabled)
+    warn_left_out(path, "which the file marks as disabled", disabled)
     if len(used) > 1:
         raise FileFormatError(
             f"{path}: the cameras are of {len(used)} components, which have no common frame; export one"

@@ -90,14 +90,18 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
                 f"{content.at(key)}: expected 1, got {content[key]}; divide the positions by it"
             )
     shared = None if all(own) else _camera(content, options)
-    calibration = Gathered(options)
+    calibration, missing = Gathered(options), []
     for frame, has_own in zip(frames, own, strict=True):
         name = view_name(frame.entry("file_path"))
         camera = shared if shared and not has_own else _camera(frame.over(content), options)
         calibration.add(name, camera, frame.where, frame.pose("transform_matrix") @ OPENGL_FROM_OPENCV)
-        mask = frame.get("mask_path")
-        if mask and (path.parent / str(mask)).is_file():
-            calibration.masks[name] = read_mask(path.parent / str(mask), camera.image_size)
+        if mask := frame.get("mask_path"):
+            file = path.parent / str(mask)
+            if file.is_file():
+                calibration.masks[name] = read_mask(file, camera.image_size)
+            else:  # ScanNet++ counts them from a folder that the file does not name
+                missing.append(str(file))
+    warn_left_out(path, "masks that are not there, give them as masks=", missing)
     if not options.rig and shared and not any(own):
         return Gathered(options).add("cam1", shared, content.where).contents
     return calibration.contents
@@ -111,7 +115,7 @@ def _usable(content: Keys, path: Path) -> list[Keys]:
         raise FileFormatError(
             f"{path}: all {len(frames)} frames are marked is_bad; expected some that are not"
         )
-    warn_left_out(path, "is_bad", [str(frame.get("file_path")) for frame in bad])
+    warn_left_out(path, "which the file marks as is_bad", [str(frame.get("file_path")) for frame in bad])
     for frame in bad:
         frame.read.update(frame)
     return [frame for frame in frames if not any(frame is other for other in bad)]

@@ -172,7 +172,9 @@ def _kind(content: Keys, index: str, where: str, distortion_key: str, count: int
         if key and names is _FLAG:
             is_plain = meant not in ("1", "10", "true")
             meant = "" if is_plain else "equidistant"
-        if key and meant and not (meant == "none" and names is MODEL[2:]):  # any camera is a pinhole to some
+        if (
+            key and meant and not (meant == "none" and names[0] != MODEL[0])
+        ):  # any camera is a pinhole to some
             models[key] = meant
     meanings = set(models.values()) - ({"radtan"} if "xi" in models else set())
     if len(meanings) > 1 or (is_plain and "equidistant" in meanings):
@@ -184,6 +186,10 @@ def _kind(content: Keys, index: str, where: str, distortion_key: str, count: int
             f"{where}: the key 'xi_{index}' is missing, which the other camera has, or fisheye_model_{index}"
         )
     if count == 4 and not is_plain and distortion_key in ("d", "D", f"d{index}", f"D{index}"):
+        if empty := find(content, MODEL[:2], index) or find(content, MODEL[:2]):
+            raise FileFormatError(
+                f"{where}, {empty}: expected the model of 4 coefficients, plumb_bob or equidistant, got none"
+            )
         return "equidistant"
     return {0: "none", 8: "rational_polynomial", 12: "thin_prism", 14: "tilted"}.get(count, "radtan")
 

@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.calibration.colmap_records import images_in
+from sphericalvision.cameras.calibration.keys import check_one_set
 from sphericalvision.cameras.calibration.parsing import FARTHEST, numbers, view_name
 from sphericalvision.cameras.calibration.poses import transform_from_numbers, transform_from_rows
 from sphericalvision.cameras.trajectory import Trajectory
@@ -48,6 +49,10 @@ _HEADERS = {
     for name in COLUMNS[1:]
 }
 """How headers call the columns: ``p_RS_R_x``, ``tx`` and ``x`` are one."""
+_SETS = re.compile(
+    r"(?i)(\w*_)?(id|cam(era)?|sensor|session|rig|device|robot|agent|body|bad|valid|lost|status)"
+)
+"""Columns by which the lines may be poses of several cameras, or not all of them good."""
 _NO_METRES = re.compile(r"(?i)[xyz]\"?\s*[\[(]\s*([ckm]m)\s*[\])]")
 """Of a header, the unit behind a position."""
 
@@ -133,6 +138,9 @@ def _columns_of_poses(header: list[str], lines: list[tuple[int, list[str]]], pat
             "correct the header, which decides their order, or remove it"
         )
     order = [header.index(name) for name in COLUMNS[1:]]
+    for column, name in enumerate(header):
+        if _SETS.fullmatch(name):
+            check_one_set(name, [entries[column] for _, entries in lines if column < len(entries)], str(path))
     names, poses = [], []
     for number, entries in lines:
         where = f"{path}, line {number}"

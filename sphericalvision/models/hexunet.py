@@ -21,7 +21,8 @@ class HexResidualBlock(nn.Module):
     their scale, and a sample's result depends on nothing but the sample.
 
     References:
-        Zhang et al. (2019), "Fixup initialization: residual learning without normalization".
+        Zhang et al. (2019), "Fixup initialization: residual learning without normalization"; He et al. (2015), "Delving
+        deep into rectifiers", for the first one's weights.
 
     Examples:
         >>> import torch
@@ -34,6 +35,7 @@ class HexResidualBlock(nn.Module):
         super().__init__()
         self.first = HexConv2d(channels, channels, bias=True)
         self.second = HexConv2d(channels, channels, bias=True)
+        _keep_size(self.first)
         nn.init.zeros_(self.second.weight)
         if self.second.bias is not None:
             nn.init.zeros_(self.second.bias)
@@ -73,6 +75,9 @@ class HexUNet(nn.Module):
         self.coarsen = nn.ModuleList(HexConv2d(fine, coarse, 2, bias=True) for fine, coarse in steps)
         self.refine = nn.ModuleList(nn.Conv1d(coarse, fine, 1) for fine, coarse in steps)
         self.up = nn.ModuleList(_blocks(*level) for level in zip(widths[:-1], counts, strict=False))
+        for coarsen, refine in zip(self.coarsen, self.refine, strict=True):
+            _keep_size(coarsen)
+            _keep_size(refine, after="linear")
 
     def forward(self, values: Float[Tensor, "B C V"]) -> Float[Tensor, "B C V"]:
         levels = []
@@ -87,3 +92,12 @@ class HexUNet(nn.Module):
 
 def _blocks(channels: int, count: int) -> nn.Sequential:
     return nn.Sequential(*(HexResidualBlock(channels) for _ in range(count)))
+
+
+def _keep_size(convolution: HexConv2d | nn.Conv1d, after: str = "relu") -> None:
+    """Begin with values as large as those that come in, rectified or not."""
+    # Nothing is normalised: this alone keeps values their size from level to level. With weights as torch begins, those of
+    # the coarsest of five levels are a fifteenth of the finest's, and hardly learn.
+    nn.init.kaiming_normal_(convolution.weight, nonlinearity=after)
+    if convolution.bias is not None:
+        nn.init.zeros_(convolution.bias)

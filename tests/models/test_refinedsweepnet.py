@@ -430,6 +430,16 @@ def test_unet_keeps_levels_apart_at_first():
     assert HexUNet((4, 6, 8))(values).shape == values.shape
 
 
+def test_values_keep_their_size_down_to_the_coarsest_level(generator):
+    net, sizes = HexUNet((32, 48, 64, 96)), []
+    for block in net.down:
+        block.register_forward_hook(
+            lambda module, values, result: sizes.append(result.square().mean().sqrt())
+        )
+    net(torch.randn(1, 32, 642, generator=generator))
+    assert all(0.5 < size < 2 for size in sizes)
+
+
 def test_a_finer_level_begins_near_the_chosen_index_and_forbids_nothing():
     """What is two hypotheses away or more costs the same."""
     finer = finer_logits(

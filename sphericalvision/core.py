@@ -14,6 +14,16 @@ from typing import Any
 
 import torch
 
+__all__ = [
+    "ArgumentError",
+    "ArgumentTypeError",
+    "FileFormatError",
+    "MissingCompilerError",
+    "MissingFileError",
+    "ShapeError",
+    "SphericalVisionError",
+]
+
 
 class SphericalVisionError(Exception):
     """Base of every error raised on purpose by this package.

@@ -16,6 +16,8 @@ from torch import Tensor
 
 from sphericalvision.core import check_choice
 
+__all__ = ["kernels", "reference_kernels"]
+
 KERNELS = ("auto", "plain", "graph", "reference", "require")
 
 P = ParamSpec("P")

@@ -96,8 +96,8 @@ def _blocks(channels: int, count: int) -> nn.Sequential:
 
 def _keep_size(convolution: HexConv2d | nn.Conv1d, after: str = "relu") -> None:
     """Begin with values as large as those that come in, rectified or not."""
-    # Nothing is normalised: this alone keeps values their size from level to level. With weights as torch begins, those of
-    # the coarsest of five levels are a fifteenth of the finest's, and hardly learn.
+    # Nothing is normalised: this alone keeps values their size from level to level. With weights as torch begins, those
+    # of the coarsest of five levels are a thirtieth of the finest's, and hardly learn.
     nn.init.kaiming_normal_(convolution.weight, nonlinearity=after)
     if convolution.bias is not None:
         nn.init.zeros_(convolution.bias)

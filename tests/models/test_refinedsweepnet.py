@@ -164,7 +164,7 @@ def test_learns_and_leaves_the_prior_alone(net, frame):
     before = {name: value.clone() for name, value in net.prior.state_dict().items()}
     optimizer = torch.optim.Adam([p for p in net.parameters() if p.requires_grad], 3e-3)
     losses = []
-    for _ in range(25):
+    for _ in range(40):
         loss = net.training_loss(images, rig, seen, true, valid, depth_index_huber)
         optimizer.zero_grad()
         loss.backward()

@@ -11,7 +11,13 @@ import torch
 from sphericalvision import Predictor
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Depth
-from sphericalvision.capture.checks import PhotoConsistency, capture_warnings, pose_agreement
+from sphericalvision.capture.checks import (
+    DISAGREES,
+    PhotoConsistency,
+    camera_agreement,
+    capture_warnings,
+    pose_agreement,
+)
 from sphericalvision.scenes import make_scene, render_rig
 
 RING = ring_rig(4, image_size=(80, 80))
@@ -62,6 +68,15 @@ def test_inverted_poses_are_told(seed: int) -> None:
     assert any("camera-from-world" in warning for warning in warnings)
     images = render_rig(make_scene("room", seed=3), rig)
     assert pose_agreement(images, rig) > 2 * pose_agreement(images, inverted)
+
+
+def test_what_a_mask_hides_has_no_part_in_the_agreement_of_cameras() -> None:
+    mask = torch.arange(80).expand(80, 80) < 40
+    depth = depth_of(RING.replaced(masks={"cam1": mask}), "room", 0.55)
+    spoiled = {**depth.images, "cam1": depth.images["cam1"].where(mask, 1.0)}
+    clean, other = (camera_agreement(replace(depth, images=images)) for images in (depth.images, spoiled))
+    assert other == pytest.approx(clean, abs=0.03)
+    assert min(clean.values()) > DISAGREES
 
 
 def test_photo_consistency_falls_with_wrong_depth() -> None:

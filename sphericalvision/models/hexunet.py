@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import TypeVar
 
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -12,6 +13,8 @@ from torch import Tensor, nn
 from sphericalvision.core import ArgumentError
 from sphericalvision.crown import HexConv2d
 from sphericalvision.icosphere import icosphere_upsample
+
+Convolution = TypeVar("Convolution", HexConv2d, nn.Conv1d)
 
 
 class HexResidualBlock(nn.Module):
@@ -33,9 +36,8 @@ class HexResidualBlock(nn.Module):
 
     def __init__(self, channels: int) -> None:
         super().__init__()
-        self.first = HexConv2d(channels, channels, bias=True)
+        self.first = _keeping_size(HexConv2d(channels, channels, bias=True))
         self.second = HexConv2d(channels, channels, bias=True)
-        _keep_size(self.first)
         nn.init.zeros_(self.second.weight)
         if self.second.bias is not None:
             nn.init.zeros_(self.second.bias)
@@ -72,12 +74,13 @@ class HexUNet(nn.Module):
             )
         steps = list(pairwise(widths))
         self.down = nn.ModuleList(_blocks(*level) for level in zip(widths, counts, strict=True))
-        self.coarsen = nn.ModuleList(HexConv2d(fine, coarse, 2, bias=True) for fine, coarse in steps)
-        self.refine = nn.ModuleList(nn.Conv1d(coarse, fine, 1) for fine, coarse in steps)
+        self.coarsen = nn.ModuleList(
+            _keeping_size(HexConv2d(fine, coarse, 2, bias=True)) for fine, coarse in steps
+        )
+        self.refine = nn.ModuleList(
+            _keeping_size(nn.Conv1d(coarse, fine, 1), rectified=False) for fine, coarse in steps
+        )
         self.up = nn.ModuleList(_blocks(*level) for level in zip(widths[:-1], counts, strict=False))
-        for coarsen, refine in zip(self.coarsen, self.refine, strict=True):
-            _keep_size(coarsen)
-            _keep_size(refine, after="linear")
 
     def forward(self, values: Float[Tensor, "B C V"]) -> Float[Tensor, "B C V"]:
         levels = []
@@ -94,10 +97,11 @@ def _blocks(channels: int, count: int) -> nn.Sequential:
     return nn.Sequential(*(HexResidualBlock(channels) for _ in range(count)))
 
 
-def _keep_size(convolution: HexConv2d | nn.Conv1d, after: str = "relu") -> None:
-    """Begin with values as large as those that come in, rectified or not."""
+def _keeping_size(convolution: Convolution, rectified: bool = True) -> Convolution:
+    """A convolution that begins with values as large as those that come in."""
     # Nothing is normalised: this alone keeps values their size from level to level. With weights as torch begins, those
     # of the coarsest of five levels are a thirtieth of the finest's, and hardly learn.
-    nn.init.kaiming_normal_(convolution.weight, nonlinearity=after)
+    nn.init.kaiming_normal_(convolution.weight, nonlinearity="relu" if rectified else "linear")
     if convolution.bias is not None:
         nn.init.zeros_(convolution.bias)
+    return convolution

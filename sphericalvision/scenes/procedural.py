@@ -8,6 +8,7 @@ Convention:
 
 Examples:
     >>> import torch
+    >>> from sphericalvision.scenes.rendering.render import ray_depth, render_directions
     >>> scene = make_scene("room", seed=3)
     >>> directions = torch.tensor([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
     >>> render_directions(scene, torch.zeros(3), directions).shape

@@ -100,7 +100,7 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
             if file.is_file():
                 calibration.masks[name] = read_mask(file, camera.image_size)
             else:  # ScanNet++ counts them from a folder that the file does not name
-                missing.append(str(file))
+                missing.append(str(mask))
     warn_left_out(path, "masks that are not there, give them as masks=", missing)
     if not options.rig and shared and not any(own):
         return Gathered(options).add("cam1", shared, content.where).contents

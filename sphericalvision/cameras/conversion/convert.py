@@ -13,6 +13,7 @@ from sphericalvision.cameras.base import Camera, check_single
 from sphericalvision.cameras.conversion.fit import ROUNDS, cannot_show, fit_model
 from sphericalvision.cameras.field_of_view import cap, directions_around_axis, visible_angle
 from sphericalvision.cameras.fitting import FittedModel, fit_choices, fitted_classes
+from sphericalvision.cameras.model_alone import project_by_model
 from sphericalvision.cameras.models.brown_conrady import BrownConradyCamera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.models.ocam import OCamCamera
@@ -222,7 +223,7 @@ def _with_direct_polynomial(ocam: OCamCamera, held_out: Tensor, covered: float) 
             covered,
         )
         angle = angle_from_axis(held_out)
-        inside = result.exact().to(torch.float64)._project(held_out).valid
+        inside = project_by_model(result.exact().to(torch.float64), held_out).valid
         lost = angle[~inside & (angle <= covered)]
         if not len(lost):
             break
@@ -243,11 +244,11 @@ def _errors(original: Camera, new: Camera, directions: Tensor, covered: float) -
     new = new.to(torch.float64)
     expected, seen = original.project(directions)
     seen = seen & (angle_from_axis(directions) <= covered)
-    pairs = [(expected, new._project(directions).pixels)]
+    pairs = [(expected, project_by_model(new, directions).pixels)]
     if isinstance(new, OCamCamera):
         if isinstance(original, OCamCamera):
-            expected = original.exact()._project(directions).pixels
-        pairs.append((expected, new.exact()._project(directions).pixels))
+            expected = project_by_model(original.exact(), directions).pixels
+        pairs.append((expected, project_by_model(new.exact(), directions).pixels))
     gaps = [(first - second)[seen].norm(dim=-1) for first, second in pairs]
     even = int(seen[:_HELD_OUT].sum())  # those along the edge, behind, are too many for a mean over the view
     if not even:  # what is covered has shrunk to a spot

@@ -12,6 +12,7 @@ from torch import Tensor
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.field_of_view import cap, focal_length_on_axis
 from sphericalvision.cameras.fitting import FittedModel, Samples
+from sphericalvision.cameras.model_alone import project_by_model
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import angle_from_axis
 from sphericalvision.geometry.least_squares import solve_least_squares
@@ -88,7 +89,7 @@ def _samples(camera: Camera, limit: float, model: FittedModel) -> Samples:
             f"{math.degrees(limit):.1f}° of its axis, where a {model.camera_class.__name__} could show them"
         )
     focal_length = focal_length_on_axis(camera)
-    center = camera._project(directions.new_tensor([0.0, 0.0, 1.0])).pixels
+    center = project_by_model(camera, directions.new_tensor([0.0, 0.0, 1.0])).pixels
     if not bool((focal_length > 0).all() & center.isfinite().all()):
         height, width = camera.image_size
         center = directions.new_tensor([(width - 1) / 2, (height - 1) / 2])

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.field_of_view import focal_length_on_axis
+from sphericalvision.cameras.model_alone import lifted
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.geometry.directions import broadcast_shapes
 from sphericalvision.kernels import full_precision
@@ -30,19 +31,12 @@ def source_pixels(
     """
     batch_of_rotation = () if rotation is None else rotation.shape[:-2]
     batch = broadcast_shapes(source.batch_shape, target.batch_shape, batch_of_rotation)
-
-    def lifted(camera: Camera) -> Camera:
-        missing = len(batch) - len(camera.batch_shape)
-        return (
-            camera._map(lambda tensor: tensor.reshape(*[1] * missing, *tensor.shape)) if missing else camera
-        )
-
-    directions, seen = lifted(target).unproject(positions.expand(*batch, *positions.shape))
+    directions, seen = lifted(target, batch).unproject(positions.expand(*batch, *positions.shape))
     if rotation is not None:
         # target_from_source turns the other way: its transpose acts on column vectors, itself on rows.
         matrices = rotation.to(directions).expand(*batch, 3, 3).reshape(-1, 3, 3)
         directions = (directions.reshape(len(matrices), -1, 3) @ matrices).reshape(directions.shape)
-    pixels, visible = lifted(source).project(directions)
+    pixels, visible = lifted(source, batch).project(directions)
     return pixels, seen & visible
 
 

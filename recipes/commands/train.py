@@ -26,6 +26,7 @@ from sphericalvision.recipes.app.kinds import STRICT, Count, Number, OnlyWith, P
 from sphericalvision.recipes.app.words import evaluate_command, resume_command
 from sphericalvision.recipes.datamodules.data_module import SampleDataModule
 from sphericalvision.recipes.evaluation.tables import save_errors
+from sphericalvision.recipes.training.loaders import Loaders
 from sphericalvision.recipes.training.module import TrainingModule
 from sphericalvision.recipes.training.run_folder import (
     WeightsBesideCheckpoint,
@@ -98,6 +99,7 @@ class Run(NamedTuple):
 
     module: TrainingModule
     data: SampleDataModule
+    loaders: Loaders
     trainer: pl.Trainer
 
 
@@ -126,7 +128,7 @@ def instantiate_run(config: DictConfig, folder: Path) -> Run:
         enable_progress_bar=bars,
         enable_checkpointing=any(isinstance(callback, ModelCheckpoint) for callback in callbacks),
     )
-    return Run(module, data, trainer)
+    return Run(module, data, Loaders(data), trainer)
 
 
 def build_all(config: DictConfig, group: str) -> list[Any]:
@@ -195,7 +197,7 @@ def train_in(folder: Path, checkpoint: Path | None, config: DictConfig) -> dict[
     ):
         warnings.filterwarnings("ignore", pattern)
     logging.getLogger("pytorch_lightning").setLevel(logging.WARNING)
-    module, data, trainer = instantiate_run(config, folder)
+    module, data, loaders, trainer = instantiate_run(config, folder)
     if trainer.is_global_zero:
         changes = [] if checkpoint is None else changed_settings(checkpoint.parent.parent, config)
         check_resume(checkpoint, module)
@@ -215,7 +217,7 @@ def train_in(folder: Path, checkpoint: Path | None, config: DictConfig) -> dict[
         module.initialize(config.init_weights)
     last = folder / "checkpoints" / "last.ckpt"
     try:
-        trainer.fit(module, data, ckpt_path=checkpoint, weights_only=True)
+        trainer.fit(module, loaders, ckpt_path=checkpoint, weights_only=True)
     except SystemExit as stopped:  # what Lightning makes of Ctrl+C and of a job queue's signal
         for sentence in data.left_out():
             print(f"Warning: {sentence}")
@@ -225,12 +227,12 @@ def train_in(folder: Path, checkpoint: Path | None, config: DictConfig) -> dict[
         status = 143 if sigterm else 130 if stopped.code in (0, 1, None) else stopped.code  # as in shells
         raise SystemExit(status) from None
     trainer.save_checkpoint(last)
-    best = best_checkpoint(trainer, module, data, last)
-    trainer.validate(module, data, ckpt_path=best, weights_only=True, verbose=False)
+    best = best_checkpoint(trainer, module, loaders, last)
+    trainer.validate(module, loaders, ckpt_path=best, weights_only=True, verbose=False)
     values = logged_values(trainer, module, "val")
     report(f"validation ({module.unit})", folder / "validation", trainer, values)
     if type(module).test_step is not pl.LightningModule.test_step:
-        trainer.test(module, data, ckpt_path=best, weights_only=True, verbose=False)
+        trainer.test(module, loaders, ckpt_path=best, weights_only=True, verbose=False)
         report(f"test ({module.unit})", folder / "test", trainer, logged_values(trainer, module, "test"))
     for sentence in data.left_out():
         print(f"Warning: {sentence}")

@@ -104,7 +104,6 @@ class CaptureDataModule(CaptureFields, PreparedSamples):
     has_truth = False
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         if self.rendered_seed + NUM_RENDERED > HELD_OUT_SEED:
             raise ArgumentError(
                 f"data.rendered_seed: seeds from {HELD_OUT_SEED} are held out for the benchmark, and {NUM_RENDERED} "

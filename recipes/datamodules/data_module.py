@@ -8,9 +8,8 @@ from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass
 from itertools import count, islice
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
-import pytorch_lightning as pl
 import torch
 from torch.utils.data import DataLoader, Dataset, Sampler
 
@@ -23,6 +22,7 @@ BATCHES_AHEAD = 3
 """Of each process that prepares samples: one large batch among small ones is not waited for at once."""
 
 Sample = dict[str, Any]
+Loader: TypeAlias = "DataLoader[Sample] | list[DataLoader[Sample]]"
 
 
 class TrainingStream(Dataset[Sample]):
@@ -148,10 +148,11 @@ def even_batches(number: int, batch_size: int, world: int) -> list[list[int]]:
 
 
 @dataclass(eq=False, repr=False)
-class SampleDataModule(pl.LightningDataModule):
+class SampleDataModule:
     """Loaders over data sets that subclasses make; ``dataset(split)`` is all they need to say.
 
-    Fields of data modules are the keys of their files in ``conf/data``, which explain them.
+    Fields of data modules are the keys of their files in ``conf/data``, which explain them. Lightning gets the loaders
+    from :class:`~sphericalvision.recipes.training.loaders.Loaders`; evaluation does without it.
     """
 
     batch_size: Count = 4
@@ -162,10 +163,6 @@ class SampleDataModule(pl.LightningDataModule):
     """Fields that the samples which ``sphericalvision-evaluate`` takes do not depend on."""
     has_truth: ClassVar[bool] = True
     """Whether validation and test samples hold the true depth, so that ``sphericalvision-evaluate`` can use them."""
-
-    def __post_init__(self) -> None:
-        super().__init__()
-        self.batches_seen = 0
 
     def dataset(self, split: str) -> Dataset[Sample]:
         """Samples of "train", "val" or "test", on the icosphere; augmented in "train". Every subclass implements it."""
@@ -197,40 +194,30 @@ class SampleDataModule(pl.LightningDataModule):
     def render(self, split: str) -> None:
         """Make the samples of a split ready, with progress; data on disk are."""
 
-    def train_dataloader(self) -> DataLoader[Sample]:
-        """Endless training batches up to ``trainer.max_steps``, from where a resumed run stopped."""
-        steps = self.trainer.max_steps * self.trainer.accumulate_grad_batches if self.trainer else -1
+    def prepare_data(self) -> None:
+        """Write what training and validation will read, in one process, before any reads it."""
+
+    def setup(self, stage: str) -> None:
+        """Read what each process needs, with the network bound."""
+
+    def train_dataloader(
+        self, length: int = ENDLESS, start: int = 0, rank: int = 0, world: int = 1
+    ) -> DataLoader[Sample]:
+        """Training batches of a process; the arguments are those of :class:`TrainingBatches`."""
         stream = TrainingStream(self.dataset("train"), self.seed)
-        batches = TrainingBatches(
-            stream,
-            self.batch_sizes,
-            steps if steps > 0 else ENDLESS,
-            self.group,
-            self.batches_seen,
-            *self.rank_and_world(),
-        )
+        batches = TrainingBatches(stream, self.batch_sizes, length, self.group, start, rank, world)
         return self.loader(stream, batches)
 
-    def val_dataloader(self) -> DataLoader[Sample]:
-        """Validation batches, in order; with several processes each gets its part."""
-        return self.part_of_process(self.dataset("val"))
+    def val_dataloader(self, rank: int = 0, world: int = 1) -> Loader:
+        """Validation batches, in order; of several processes each gets its part."""
+        return self.part_of_process(self.dataset("val"), rank, world)
 
-    def test_dataloader(self) -> DataLoader[Sample]:
-        """Test batches, in order; with several processes each gets its part."""
-        return self.part_of_process(self.dataset("test"))
+    def test_dataloader(self, rank: int = 0, world: int = 1) -> Loader:
+        """Test batches, in order; of several processes each gets its part."""
+        return self.part_of_process(self.dataset("test"), rank, world)
 
-    def transfer_batch_to_device(self, batch: Sample, device: torch.device, dataloader_idx: int) -> Sample:
-        """Move all of a batch but its rigs: their tables are made on the device, and known by numbers on the host."""
-        rest = {name: values for name, values in batch.items() if name != "rig"}
-        return {**batch, **super().transfer_batch_to_device(rest, device, dataloader_idx)}
-
-    def rank_and_world(self) -> tuple[int, int]:
-        """Number of this process and of all."""
-        return (self.trainer.global_rank, self.trainer.world_size) if self.trainer else (0, 1)
-
-    def part_of_process(self, dataset: Dataset[Sample]) -> DataLoader[Sample]:
-        """Batches of this process; those of all processes together have each sample once."""
-        rank, world = self.rank_and_world()
+    def part_of_process(self, dataset: Dataset[Sample], rank: int, world: int) -> DataLoader[Sample]:
+        """Batches of one process; those of all processes together have each sample once."""
         if world == 1:
             return self.loader(dataset)
         size = self.ordered_batch_size
@@ -262,16 +249,6 @@ class SampleDataModule(pl.LightningDataModule):
             pin_memory=torch.cuda.is_available(),
             multiprocessing_context=context,
         )
-
-    def state_dict(self) -> dict[str, int]:
-        """Number of training batches that were used up, for a resumed run."""
-        assert self.trainer is not None
-        per_step = self.trainer.accumulate_grad_batches * self.trainer.world_size
-        return {"batches_seen": self.trainer.global_step * per_step}
-
-    def load_state_dict(self, state_dict: dict[str, int]) -> None:
-        """Continue behind the batches that were used up."""
-        self.batches_seen = state_dict["batches_seen"]
 
 
 @dataclass(eq=False, repr=False, kw_only=True)

@@ -41,7 +41,6 @@ class DepthDataModule(SampleDataModule):
         return 80, 160
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         self.min_depth = NATURAL_MIN_DEPTH
         self.view = view_with(self.entries or ("sphere",), SampleView(5, 3, True, self.usual_panorama))
 

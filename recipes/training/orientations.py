@@ -101,7 +101,6 @@ class OrientedDataModule(SampleDataModule):
     """All that there are."""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         check_choice("data.orientation", self.orientation, tuple(self.orientations))
         self.grid = network_grid(self.network, self.level)
 
@@ -113,10 +112,10 @@ class OrientedDataModule(SampleDataModule):
         """Samples of a split in any orientation. Every subclass implements it."""
         raise NotImplementedError(f"{type(self).__name__}.samples")
 
-    def val_dataloader(self) -> list[DataLoader[Sample]]:  # type: ignore[override]
+    def val_dataloader(self, rank: int = 0, world: int = 1) -> list[DataLoader[Sample]]:
         """Validation samples in each orientation."""
-        return [self.part_of_process(self.samples("val", name)) for name in self.orientations]
+        return [self.part_of_process(self.samples("val", name), rank, world) for name in self.orientations]
 
-    def test_dataloader(self) -> list[DataLoader[Sample]]:  # type: ignore[override]
+    def test_dataloader(self, rank: int = 0, world: int = 1) -> list[DataLoader[Sample]]:
         """Test samples in each orientation."""
-        return [self.part_of_process(self.samples("test", name)) for name in self.orientations]
+        return [self.part_of_process(self.samples("test", name), rank, world) for name in self.orientations]

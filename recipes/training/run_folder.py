@@ -31,7 +31,7 @@ from sphericalvision.models.weights.registry import network_name
 from sphericalvision.recipes.app.checkpoints import read_checkpoint
 from sphericalvision.recipes.app.cli import changes
 from sphericalvision.recipes.app.help import walk
-from sphericalvision.recipes.datamodules.data_module import SampleDataModule
+from sphericalvision.recipes.training.loaders import Loaders
 from sphericalvision.recipes.training.module import TrainingModule, name_of
 
 try:
@@ -183,7 +183,7 @@ def flat_settings(config: Any) -> dict[str, Any]:
     }
 
 
-def best_checkpoint(trainer: pl.Trainer, module: TrainingModule, data: SampleDataModule, last: Path) -> Path:
+def best_checkpoint(trainer: pl.Trainer, module: TrainingModule, loaders: Loaders, last: Path) -> Path:
     """Return the best checkpoint of a training that has ended; the last state counts, too.
 
     Where the number of steps is no multiple of ``trainer.val_check_interval``, the last state has not been validated
@@ -192,7 +192,7 @@ def best_checkpoint(trainer: pl.Trainer, module: TrainingModule, data: SampleDat
     Args:
         trainer: after ``fit``.
         module: what was trained.
-        data: with the validation samples.
+        loaders: with the validation samples.
         last: the checkpoint of the last state.
     """
     keeper = trainer.checkpoint_callback
@@ -201,7 +201,7 @@ def best_checkpoint(trainer: pl.Trainer, module: TrainingModule, data: SampleDat
     best = Path(keeper.best_model_path)
     if keeper.best_model_score is None or module.validated_step == trainer.global_step:
         return best
-    trainer.validate(module, data, ckpt_path=last, weights_only=True, verbose=False)
+    trainer.validate(module, loaders, ckpt_path=last, weights_only=True, verbose=False)
     score, former = float(trainer.callback_metrics[module.monitor]), float(keeper.best_model_score)
     better = score < former if module.mode == "min" else score > former
     if trainer.is_global_zero and (better or math.isnan(former)):

@@ -8,7 +8,7 @@ from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, check_counts
-from sphericalvision.metrics.images import MeanOverImages, absolute_error, point_weights, weighted_mean
+from sphericalvision.metrics.images import absolute_error, point_weights, weighted_mean
 from sphericalvision.shapes import check_shapes
 
 
@@ -112,62 +112,3 @@ def depth_error(
         "RMSE": weighted_mean(error.square(), fractions).sqrt(),
         "d<1.25": weighted_mean(right.to(fractions.dtype), fractions),
     }
-
-
-class DepthIndexError(MeanOverImages):
-    """The errors that papers report: ``>1 >3 >5 MAE RMS`` in percent of N, averaged over images.
-
-    See ``depth_index_error``; images without a valid point do not count.
-
-    Args:
-        num_hypotheses: N, the number of hypotheses that the indices refer to.
-
-    Examples:
-        >>> metric = DepthIndexError(num_hypotheses=100)
-        >>> metric.update(torch.tensor([[0.0, 4.0]]), torch.tensor([[0.0, 0.0]]))
-        >>> metric.update(torch.tensor([[9.0, 9.0]]), torch.tensor([[9.0, 0.0]]), mask=torch.tensor([[True,
-        ...     False]]))
-        >>> {name: value.item() for name, value in metric.compute().items()}["MAE"]
-        1.0
-    """
-
-    error_names = (">1", ">3", ">5", "MAE", "RMS")
-
-    def __init__(self, num_hypotheses: int, **kwargs: object) -> None:
-        super().__init__(**kwargs)
-        check_counts(num_hypotheses=num_hypotheses)
-        self.num_hypotheses = num_hypotheses
-
-    def _errors(
-        self, pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None
-    ) -> dict[str, Tensor]:
-        return depth_index_error(pred, target, self.num_hypotheses, mask, weights)
-
-
-class DepthError(MeanOverImages):
-    """``AbsRel``, ``RMSE`` (m) and ``d<1.25`` of depths in metres, per image and then averaged over images.
-
-    See ``depth_error``; images without a valid point do not count.
-
-    Args:
-        max_depth: in metres; predictions are cut there, and true depths beyond are left out.
-
-    Examples:
-        >>> metric = DepthError()
-        >>> metric.update(torch.tensor([[2.0, 1.1]]), torch.tensor([[1.0, 1.0]]))
-        >>> {name: round(value.item(), 2) for name, value in metric.compute().items()}
-        {'AbsRel': 0.55, 'RMSE': 0.71, 'd<1.25': 0.5}
-    """
-
-    error_names = ("AbsRel", "RMSE", "d<1.25")
-
-    def __init__(self, max_depth: float = 100.0, **kwargs: object) -> None:
-        super().__init__(**kwargs)
-        if not max_depth > 0:
-            raise ArgumentError(f"max_depth: expected a positive number of metres, got {max_depth!r}")
-        self.max_depth = max_depth
-
-    def _errors(
-        self, pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None
-    ) -> dict[str, Tensor]:
-        return depth_error(pred, target, mask, weights, self.max_depth)

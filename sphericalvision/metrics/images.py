@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What metrics share: weights of points that sum to one in each image, and means over images."""
+"""What metrics share: weights of points that sum to one in each image, and means with them."""
 
 from __future__ import annotations
-
-from abc import abstractmethod
 
 import torch
 from jaxtyping import Float, Shaped
 from torch import Tensor
-from torchmetrics import Metric
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.directions import holds
@@ -45,43 +42,3 @@ def absolute_error(pred: Shaped[Tensor, "B V"], target: Shaped[Tensor, "B V"]) -
 def weighted_mean(values: Shaped[Tensor, "B V"], fractions: Float[Tensor, "B V"]) -> Float[Tensor, " B"]:
     """Return the weighted mean ``(B,)``; values without weight are ignored, NaN included."""
     return torch.where(fractions == 0, 0.0, values * fractions).sum(1)
-
-
-class MeanOverImages(Metric):
-    """Means over images of errors known for each image; states are sums, so processes add up."""
-
-    full_state_update = False
-    error_names: tuple[str, ...]
-    sums: Tensor
-    num_images: Tensor
-
-    def __init__(self, **kwargs: object) -> None:
-        super().__init__(**kwargs)
-        zeros = torch.zeros(len(self.error_names), dtype=torch.float64)
-        self.add_state("sums", default=zeros, dist_reduce_fx="sum")
-        self.add_state("num_images", default=torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
-
-    @abstractmethod
-    def _errors(
-        self, pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None
-    ) -> dict[str, Tensor]:
-        """Return the errors of each image ``(B,)`` by name; NaN for an image that does not count."""
-
-    def update(
-        self,
-        pred: Float[Tensor, " B *grid"],
-        target: Float[Tensor, " B *grid"],
-        mask: Shaped[Tensor, " B *grid"] | None = None,
-        weights: Float[Tensor, "*grid"] | Float[Tensor, " B *grid"] | None = None,
-    ) -> None:
-        """Add a batch: ``(B, V)`` predictions and truth, an optional ``(B, V)`` mask and ``(V,)`` weights."""
-        errors = self._errors(pred, target, mask, weights)
-        table = torch.stack([errors[name] for name in self.error_names])
-        counts = ~table.isnan().all(0)
-        self.sums += table[:, counts].sum(1)
-        self.num_images += counts.sum()
-
-    def compute(self) -> dict[str, Float[Tensor, ""]]:
-        """Return the means over all images with at least one valid point, by name; NaN if there was none."""
-        means = (self.sums / self.num_images).float()
-        return dict(zip(self.error_names, means, strict=True))

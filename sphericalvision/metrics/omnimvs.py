@@ -8,7 +8,6 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.metrics.depth_errors import depth_index_error
-from sphericalvision.metrics.images import MeanOverImages
 from sphericalvision.shapes import check_shapes
 
 NUM_HYPOTHESES = 192
@@ -63,48 +62,6 @@ def omnimvs_error(
     if mask is not None:
         counts = counts & _near_horizon(mask).bool()
     return depth_index_error(pred, target, num_hypotheses, counts)
-
-
-class OmniMVSError(MeanOverImages):
-    """``omnimvs_error`` as a metric: per image and then averaged over images.
-
-    ``update`` takes inverse depths ``(B, h, w)``, predicted and true, and an optional mask.
-
-    Args:
-        min_depth: nearest hypothesis in metres.
-        num_hypotheses: N; published numbers are for 192.
-
-    Raises:
-        ArgumentError: if either is not positive.
-
-    Examples:
-        >>> import torch
-        >>> metric = OmniMVSError(min_depth=0.5)
-        >>> metric.update(torch.full((2, 4, 8), 1.05), torch.ones(2, 4, 8))
-        >>> {name: round(value.item(), 2) for name, value in metric.compute().items()}
-        {'>1': 100.0, '>3': 0.0, '>5': 0.0, 'MAE': 2.49, 'RMS': 2.49}
-    """
-
-    error_names = (">1", ">3", ">5", "MAE", "RMS")
-
-    def __init__(
-        self, min_depth: float = 0.55, num_hypotheses: int = NUM_HYPOTHESES, **kwargs: object
-    ) -> None:
-        super().__init__(**kwargs)
-        if not min_depth > 0 or num_hypotheses < 1:
-            raise ArgumentError(
-                f"min_depth, num_hypotheses: expected positive numbers, got {min_depth!r} and {num_hypotheses!r}"
-            )
-        self.min_depth, self.num_hypotheses = min_depth, num_hypotheses
-
-    def _errors(
-        self, pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None
-    ) -> dict[str, Tensor]:
-        if weights is not None:
-            raise ArgumentError(
-                "weights: the official protocol has none; every pixel of the band counts the same"
-            )
-        return omnimvs_error(pred, target, self.min_depth, mask, self.num_hypotheses)
 
 
 def _near_horizon(panorama: Tensor) -> Tensor:

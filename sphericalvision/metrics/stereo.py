@@ -6,8 +6,7 @@ from __future__ import annotations
 from jaxtyping import Float, Shaped
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError
-from sphericalvision.metrics.images import MeanOverImages, absolute_error, point_weights, weighted_mean
+from sphericalvision.metrics.images import absolute_error, point_weights, weighted_mean
 from sphericalvision.shapes import check_shapes
 
 
@@ -82,48 +81,3 @@ def left_right_error(
     steps = [values.double()[..., 0] - values.double()[..., -1] for values in (target, pred)]
     fractions = point_weights(steps[1], steps[0], counts[..., 0] & counts[..., -1], None)
     return {"LRCE": weighted_mean(absolute_error(steps[1], steps[0]), fractions)}
-
-
-class StereoError(MeanOverImages):
-    """``MAE``, ``RMSE`` and ``MARE`` of depth or disparity, per image and then averaged over images.
-
-    See ``stereo_error``; images without a valid point do not count.
-
-    Examples:
-        >>> import torch
-        >>> metric = StereoError()
-        >>> metric.update(torch.tensor([[2.0, 3.0]]), torch.tensor([[1.0, 3.0]]))
-        >>> metric.compute()["MAE"]
-        tensor(0.5000)
-    """
-
-    error_names = ("MAE", "RMSE", "MARE")
-
-    def _errors(
-        self, pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None
-    ) -> dict[str, Tensor]:
-        if weights is not None:
-            weights = weights.flatten(1) if weights.shape == pred.shape else weights.flatten()
-        mask = None if mask is None else mask.flatten(1)
-        return stereo_error(pred.flatten(1), target.flatten(1), mask, weights)
-
-
-class LeftRightError(MeanOverImages):
-    """``LRCE`` of panoramas ``(B, h, w)``, per image and then averaged over images; see ``left_right_error``.
-
-    Examples:
-        >>> import torch
-        >>> metric = LeftRightError()
-        >>> metric.update(torch.tensor([[[1.0, 3.0]]]), torch.tensor([[[1.0, 2.0]]]))
-        >>> metric.compute()["LRCE"]
-        tensor(1.)
-    """
-
-    error_names = ("LRCE",)
-
-    def _errors(
-        self, pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None
-    ) -> dict[str, Tensor]:
-        if weights is not None:
-            raise ArgumentError("weights: LRCE has none; every row with truth at both edges counts the same")
-        return left_right_error(pred, target, mask)

@@ -25,7 +25,7 @@ from sphericalvision.metrics import (
     StereoError,
     angular_error,
 )
-from sphericalvision.metrics.images import MeanOverImages
+from sphericalvision.metrics.averages import MeanOverImages
 from sphericalvision.metrics.spread import bootstrap_interval, error_of_surest
 
 METRICS: dict[str, tuple[Callable[[], Metric], tuple[int, ...]]] = {

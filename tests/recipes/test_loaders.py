@@ -15,6 +15,7 @@ import yaml
 import sphericalvision.conf
 from sphericalvision.cameras import ring_rig
 from sphericalvision.recipes.app.cli import build
+from sphericalvision.recipes.training.loaders import Loaders
 from tests.documented import write_data_sets
 from tests.recipes.scanned_sets import SCENES, SEQUENCE, SITE, write_own
 from tests.recipes.tiny import composed
@@ -54,7 +55,7 @@ KINDS = {
 
 
 class Trainer:
-    """What data modules ask of a trainer."""
+    """What loaders ask of a trainer."""
 
     max_steps = accumulate_grad_batches = world_size = 1
     global_rank = 0
@@ -88,10 +89,14 @@ def test_processes_that_prepare_samples_are_handed_no_trainer(
     config = composed("train", f"experiment={kind}", *words, *WORDS.get(name, ()))
     data = build(config.data)
     data.bind_network(build(config.model))
-    data.trainer = Trainer()
-    data.setup("fit")
-    validation = data.val_dataloader()
-    for loader in (data.train_dataloader(), *(validation if isinstance(validation, list) else [validation])):
+    loaders = Loaders(data)
+    loaders.trainer = Trainer()  # type: ignore[assignment]
+    loaders.setup("fit")
+    validation = loaders.val_dataloader()
+    for loader in (
+        loaders.train_dataloader(),
+        *(validation if isinstance(validation, list) else [validation]),
+    ):
         handed = loader.dataset, loader.collate_fn, loader.worker_init_fn
         Samples(io.BytesIO()).dump(handed)
 

@@ -28,7 +28,7 @@ COMMANDS = {
     "render": (*LIGHTNING, "sklearn", "trimesh", "matplotlib"),
     "demo": (*LIGHTNING, "sklearn"),
     "train": ("sklearn", "trimesh"),
-    "evaluate": ("tensorboard", "sklearn", "trimesh"),
+    "evaluate": (*LIGHTNING, *SCENES, "torchmetrics", "sklearn", "trimesh", "matplotlib"),
 }
 """Command -> what its work must not import; its files in ``recipes/commands`` import the rest."""
 
@@ -41,7 +41,7 @@ def imported(program: str) -> set[str]:
     return set(python("-c", report).rpartition("MODULES ")[2].split())
 
 
-SLOW = ("train", "evaluate", "demo")
+SLOW = ("train", "demo")
 
 
 @pytest.fixture(scope="module")

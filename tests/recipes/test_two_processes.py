@@ -25,6 +25,7 @@ from sphericalvision.recipes.datamodules.data_module import (
     TrainingStream,
     even_batches,
 )
+from sphericalvision.recipes.training.loaders import Loaders
 from tests.processes import python
 from tests.recipes.tiny import Run
 
@@ -56,8 +57,9 @@ def test_a_training_stream_is_a_function_of_seed_and_position() -> None:
 
 
 def test_batches_seen_are_those_of_all_processes() -> None:
-    module = SimpleNamespace(trainer=SimpleNamespace(global_step=5, accumulate_grad_batches=2, world_size=4))
-    assert SampleDataModule.state_dict(module) == {"batches_seen": 5 * 2 * 4}  # type: ignore[arg-type]
+    loaders = Loaders(SampleDataModule())
+    loaders.trainer = SimpleNamespace(global_step=5, accumulate_grad_batches=2, world_size=4)  # type: ignore[assignment]
+    assert loaders.state_dict() == {"batches_seen": 5 * 2 * 4}
 
 
 @pytest.mark.parametrize(("batch_size", "world"), [(1, 2), (2, 2), (3, 4)])

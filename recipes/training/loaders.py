@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Data for Lightning's trainer."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytorch_lightning as pl
+import torch
+
+from sphericalvision.recipes.datamodules.data_module import ENDLESS, Loader, Sample, SampleDataModule
+
+
+class Loaders(pl.LightningDataModule):
+    """The loaders of a data module for a trainer's process, from where a resumed run stopped.
+
+    Args:
+        data: makes the loaders.
+    """
+
+    def __init__(self, data: SampleDataModule) -> None:
+        super().__init__()
+        self.data = data
+        self.batches_seen = 0
+
+    def prepare_data(self) -> None:
+        """Write what training and validation will read, in one process."""
+        self.data.prepare_data()
+
+    def setup(self, stage: str) -> None:
+        """Read what each process needs."""
+        self.data.setup(stage)
+
+    def train_dataloader(self) -> Loader:
+        """Training batches up to ``trainer.max_steps``."""
+        steps = self.trainer.max_steps * self.trainer.accumulate_grad_batches
+        return self.data.train_dataloader(
+            steps if steps > 0 else ENDLESS, self.batches_seen, *self._process()
+        )
+
+    def val_dataloader(self) -> Loader:
+        """Validation batches of this process."""
+        return self.data.val_dataloader(*self._process())
+
+    def test_dataloader(self) -> Loader:
+        """Test batches of this process."""
+        return self.data.test_dataloader(*self._process())
+
+    def _process(self) -> tuple[int, int]:
+        """Number of this process and of all."""
+        return self.trainer.global_rank, self.trainer.world_size
+
+    def transfer_batch_to_device(self, batch: Sample, device: torch.device, dataloader_idx: int) -> Sample:
+        """Move all of a batch but its rigs: their tables are made on the device, and known by numbers on the host."""
+        rest: Any = {name: values for name, values in batch.items() if name != "rig"}
+        return {**batch, **super().transfer_batch_to_device(rest, device, dataloader_idx)}
+
+    def state_dict(self) -> dict[str, int]:
+        """Number of training batches that were used up, for a resumed run."""
+        per_step = self.trainer.accumulate_grad_batches * self.trainer.world_size
+        return {"batches_seen": self.trainer.global_step * per_step}
+
+    def load_state_dict(self, state_dict: dict[str, int]) -> None:
+        """Continue behind the batches that were used up."""
+        self.batches_seen = state_dict["batches_seen"]

@@ -33,7 +33,8 @@ class Loaders(pl.LightningDataModule):
 
     def train_dataloader(self) -> Loader:
         """Training batches up to ``trainer.max_steps``."""
-        steps = self.trainer.max_steps * self.trainer.accumulate_grad_batches
+        trainer = self._bound()
+        steps = trainer.max_steps * trainer.accumulate_grad_batches
         return self.data.train_dataloader(
             steps if steps > 0 else ENDLESS, self.batches_seen, *self._process()
         )
@@ -48,7 +49,12 @@ class Loaders(pl.LightningDataModule):
 
     def _process(self) -> tuple[int, int]:
         """Number of this process and of all."""
-        return self.trainer.global_rank, self.trainer.world_size
+        trainer = self._bound()
+        return trainer.global_rank, trainer.world_size
+
+    def _bound(self) -> pl.Trainer:
+        assert self.trainer is not None
+        return self.trainer
 
     def transfer_batch_to_device(self, batch: Sample, device: torch.device, dataloader_idx: int) -> Sample:
         """Move all of a batch but its rigs: their tables are made on the device, and known by numbers on the host."""
@@ -57,8 +63,8 @@ class Loaders(pl.LightningDataModule):
 
     def state_dict(self) -> dict[str, int]:
         """Number of training batches that were used up, for a resumed run."""
-        per_step = self.trainer.accumulate_grad_batches * self.trainer.world_size
-        return {"batches_seen": self.trainer.global_step * per_step}
+        trainer = self._bound()
+        return {"batches_seen": trainer.global_step * trainer.accumulate_grad_batches * trainer.world_size}
 
     def load_state_dict(self, state_dict: dict[str, int]) -> None:
         """Continue behind the batches that were used up."""

@@ -20,12 +20,12 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 from sphericalvision.capture.calibrating.boards import AprilGrid, Charuco, Checkerboard, read_board
-from sphericalvision.core import ArgumentError, SphericalVisionError, short_repr
+from sphericalvision.core import ArgumentError, FileFormatError, SphericalVisionError, short_repr
 from sphericalvision.data import truth_from_points
 from sphericalvision.data.point_files import read_points
-from sphericalvision.data.scanned.deep360 import _array
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io import files
+from sphericalvision.io.arrays import read_npz
 from sphericalvision.models import OmniMVS, load_weights, save_weights
 from sphericalvision.scenes import read_mesh_scene
 from tests.laws.network_laws import NETWORKS
@@ -58,12 +58,13 @@ def gltf(folder: Path, count: int, packed: bool) -> Path:
     return path
 
 
-def npz(folder: Path, count: int) -> Path:
+def npz(folder: Path, stated: int, count: int) -> Path:
+    """An array of bytes whose header states a number of them, and as many zeros as there are."""
     header = io.BytesIO()
-    np.lib.format.write_array_header_1_0(header, {"descr": "|u1", "fortran_order": False, "shape": (count,)})
+    np.lib.format.write_array_header_1_0(header, {"descr": "|u1", "fortran_order": False, "shape": (stated,)})
     path = folder / "depth.npz"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as packed:
-        packed.writestr("arr_0.npy", header.getvalue() + bytes(100))
+        packed.writestr("depth.npy", header.getvalue() + bytes(count))
     return path
 
 
@@ -130,11 +131,13 @@ def test_every_hyperparameter_has_a_bound(name: str, value: int, tmp_path: Path)
     assert tried
 
 
-def test_an_array_is_as_large_as_its_header_may_say(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="300000000"):
-        _array(npz(tmp_path, 300_000_000), 1000)
-    np.savez_compressed(tmp_path / "small.npz", np.ones((3, 4), np.float32))
-    assert _array(tmp_path / "small.npz", 12).shape == (3, 4)
+@pytest.mark.parametrize(("stated", "count"), [(3 * 10**8, 100), (100, 2**20), (2000, 2000)])
+def test_an_array_is_as_large_as_both_the_archive_and_its_header_may_say(
+    stated: int, count: int, tmp_path: Path
+) -> None:
+    with pytest.raises(FileFormatError):
+        read_npz(npz(tmp_path, stated, count), ["depth"], 1999)
+    assert read_npz(npz(tmp_path, 1000, 1000), ["depth"], 1999)["depth"].shape == (1000,)
 
 
 def test_texture_of_scanned_points_is_not_opened(tmp_path: Path) -> None:

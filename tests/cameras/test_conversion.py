@@ -20,6 +20,7 @@ from sphericalvision.cameras import (
     PinholeCamera,
     RadialPolynomialCamera,
     UnifiedCamera,
+    compare_cameras,
     convert,
     fit_inverse_polynomial,
     straighten,
@@ -312,6 +313,20 @@ def test_a_smaller_angle_is_fitted_better() -> None:
     assert math.degrees(middle.covered_angle) == pytest.approx(30)
     beyond = convert(lens, to=KannalaBrandtCamera, max_angle=3.0)  # no farther than the lens looks
     assert beyond.covered_angle == pytest.approx(float(lens.max_angle))
+
+
+@pytest.mark.parametrize("limits", [(1.2, 1.0), (1.0, 1.2)])
+def test_cameras_differ_by_what_their_formulas_do(limits: tuple[float, float]) -> None:
+    """Equidistant lenses of 100 and 101 pixels a radian, up to the angle that both see."""
+    lenses = [
+        FisheyeCamera("equidistant", [f, f], [127.5, 127.5], (256, 256), limit)
+        for f, limit in zip((100.0, 101.0), limits, strict=True)
+    ]
+    angles, pixels, max_pixels, turn, max_turn = compare_cameras(*lenses)
+    expected = torch.tensor([*(math.radians(10 * k) for k in range(6)), 1.0], dtype=torch.float64)
+    torch.testing.assert_close(angles, expected, rtol=0, atol=1e-6)
+    for values, slope in ((pixels, 1.0), (max_pixels, 1.0), (turn, 1 / 101), (max_turn, 1 / 101)):
+        torch.testing.assert_close(values, slope * angles, rtol=0, atol=1e-5)
 
 
 def test_cropped_cameras_convert_where_they_look() -> None:

@@ -276,6 +276,19 @@ def test_area_at_the_pole_and_the_seam_of_a_panorama() -> None:
         torch.testing.assert_close(area, expected, rtol=0, atol=2e-3)
 
 
+@pytest.mark.parametrize(("first", "last"), [(0, 64), (32, 160), (128, 256)])
+def test_a_part_of_a_panorama_is_averaged_as_the_whole(first: int, last: int) -> None:
+    whole = EquirectangularCamera((256, 512)).to(torch.float64)
+    part = whole.cropped(first, 0, last - first, 512)
+    target = PinholeCamera([60.0, 60.0], [11.5, 11.5], (24, 24)).to(torch.float64)
+    rotation = turn(((first + last) / 2 - 128) / 256 * math.pi, 0, 0)
+    image = noise(1, 256, 512)
+    expected, _ = both(image, whole, target, rotation, "area")
+    area, valid = both(image[:, first:last], part, target, rotation, "area")
+    assert valid.all()
+    torch.testing.assert_close(area, expected, rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize("size", [(32, 64), (31, 63)])
 def test_seam_and_poles_of_a_panorama(size: tuple[int, int]) -> None:
     """Interpolation goes on across the edges: no trace of them in a view that has them in its middle."""

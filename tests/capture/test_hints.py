@@ -75,6 +75,8 @@ def test_points_and_panoramas_are_told_from_the_centre() -> None:
     )
     hint = Hint.of_points(points[:-2] + 1).on(GRID, moved)
     assert error(hint, rig)[0] < 1e-4
+    scaled = Hint.of_points(0.4 * (points[:-2] - rig.center), fit="scale")  # counted from where the rig is
+    assert error(scaled.on(GRID, moved, answer(rig)), rig)[0] < 0.01
     grid = Equirectangular(160, 320)
     panorama = ray_depth(SCENE, rig.center, grid.directions.reshape(-1, 3)).view(grid.shape)
     off, share = error(Hint.of_directions(grid.directions, 1 / panorama).on(GRID, rig), rig)
@@ -87,7 +89,7 @@ def test_points_and_panoramas_are_told_from_the_centre() -> None:
     [("range", "metres"), ("z", "scale"), ("range", "scale"), ("range", "affine"), ("z", "affine")],
 )
 def test_depth_images_stand_where_their_cameras_stand_and_are_fitted_each(quantity: Any, fit: Any) -> None:
-    rig = ring_rig(4, image_size=(160, 160), field_of_view=2.6)
+    rig = ring_rig(4, image_size=(160, 160), field_of_view=2.6).rotated(tilt=0.3)
     images = depth_images(rig)
     for number, (name, camera) in enumerate(rig.cameras.items()):
         rays = camera.unproject(camera.pixel_grid(torch.float32)).directions
@@ -226,6 +228,22 @@ def test_infinite_pixels_say_nothing(tmp_path: Path) -> None:
     assert torch.equal(read.on(GRID, rig).weight, expected.weight)
     around = HintFiles(str(tmp_path / "{frame}.tiff"), ["0"], rig, torch.eye(4))("0").views[0]
     torch.testing.assert_close(around.values, torch.full((8 * 32,), 1 / 3))
+
+
+def test_points_in_files_are_in_the_frame_of_the_calibration(tmp_path: Path) -> None:
+    """Wherever that was placed, and however far away the world is."""
+    turn, place = (
+        torch.tensor(values, dtype=torch.float64) for values in ([0.2, -0.5, 0.1], [3e5, -20, 6e5])
+    )
+    placement = transform_from_axis_angle(turn, place)
+    rig = rig_of_four().replaced(origin=place.round())
+    points = true_depth(rig)[:, None] * GRID.vertices + rig.origin
+    np.save(tmp_path / "0.npy", ((points - place) @ placement[:3, :3]).numpy())
+    off, share = error(
+        HintFiles(str(tmp_path / "{frame}.npy"), ["0"], rig, placement)("0").on(GRID, rig), rig
+    )
+    assert off < 1e-3
+    assert share > 0.99
 
 
 def test_arrays_in_files_are_read_in_either_byte_order_or_the_file_is_named(tmp_path: Path) -> None:

@@ -38,6 +38,15 @@ class Flat(WinnerTakesAll):
         return DepthEstimate(index, index, index > 0)
 
 
+class Shown(Flat):
+    """Its confidence is the number of cameras that show something."""
+
+    def predict(self, images: Tensor, rig: object, seen: Tensor | None = None) -> DepthEstimate:
+        assert seen is not None
+        count = seen.expand(images[:, :, 0].shape).sum(1).float()
+        return DepthEstimate(count, count, count > 1)
+
+
 def room(factor: float = 1.0, loss: float = 0.0, noise: float = 0.0) -> Images:
     """Bytes of four cameras, as programs hold them, darker, vignetted and noisy."""
     generator = torch.Generator().manual_seed(0)
@@ -83,6 +92,28 @@ def test_a_device_is_told_everything_at_once_and_finds_what_a_cpu_finds(images: 
             assert compensation.noise == pytest.approx(other.noise, abs=1e-6)
             assert compensation.gain == pytest.approx(other.gain)
             assert (compensation.light is None) == (other.light is None)
+
+
+FLAT, RANDOM = torch.full((3, 48, 56), 0.5), torch.rand(3, 48, 56, generator=torch.Generator().manual_seed(0))
+
+
+@pytest.mark.parametrize(
+    ("image", "shows"),
+    [
+        (RANDOM, True),
+        (torch.cat((FLAT[:2], RANDOM[2:])), True),  # a sky of one red and one green
+        (FLAT + 0.003 * (RANDOM - 0.5), False),
+        (torch.cat((FLAT[..., :28], RANDOM[..., 28:]), -1), False),  # masked
+    ],
+    ids=["texture", "one colour", "less than a step", "masked"],
+)
+def test_an_image_of_one_value_shows_nothing(image: Tensor, shows: bool) -> None:
+    mask = (torch.arange(56) < 22).expand(48, 56)
+    made = Pipeline(Shown(3, 8), RIG.replaced(masks={"cam1": mask}))
+    colors = {name: values.float() / 255 for name, values in room().items()} | {"cam1": image}
+    estimate, _ = made.estimate(made.intake(colors))
+    expected = made.intake.seen[0 if shows else 1 :].sum(0).float()
+    torch.testing.assert_close(estimate.confidence, expected)
 
 
 @pytest.mark.parametrize("network", ["shipped", "paper"])

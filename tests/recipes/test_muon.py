@@ -89,6 +89,22 @@ def test_biases_are_adamws() -> None:
         assert torch.equal(one, two) == (one.ndim == 1)
 
 
+def test_steps_are_along_the_gradient_and_its_mean() -> None:
+    """Nesterov's: of the running mean with this gradient, and of the gradient once more."""
+    torch.manual_seed(0)
+    layer, generator = nn.Linear(5, 3, bias=False), torch.Generator().manual_seed(1)
+    optimizer = Muon(layer.parameters(), lr=1e-2, momentum=0.8, weight_decay=0.1)
+    expected, mean = layer.weight.detach().clone(), torch.zeros(3, 5)
+    for _ in range(3):
+        gradient = torch.randn(3, 5, generator=generator)
+        layer.weight.grad = gradient.clone()
+        optimizer.step()
+        mean = 0.8 * mean + 0.2 * gradient
+        step = orthogonalized((0.8 * mean + 0.2 * gradient)[None])[0]
+        expected = (1 - 1e-2 * 0.1) * expected - 1e-2 * SIZE * step
+    torch.testing.assert_close(layer.weight.detach(), expected)
+
+
 def test_layers_of_one_shape_do_not_mix() -> None:
     together, alone = layers(), layers()
     learn(together, Muon(together.parameters(), lr=1e-2), range(1))

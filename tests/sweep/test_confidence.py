@@ -50,6 +50,8 @@ def test_is_small_within_two_rings_of_a_depth_edge() -> None:
     distance = ico.vertices[:, 0].abs()
     near, far = confidence[distance < 0.05], confidence[distance > 0.2]
     assert near.max() < 0.6 < far.min()
+    twice = sweep_confidence(one_valley(2 * index, 1.0, 31), torch.ones_like(index), 2 * index, 2)[0]
+    torch.testing.assert_close(twice, confidence)  # the same depths, counted in halves
 
 
 def test_a_vertex_with_five_neighbours_looks_at_these_alone() -> None:

@@ -193,8 +193,9 @@ def test_points_seen_by_fewer_than_two_cameras_have_no_confidence() -> None:
 
 def test_what_two_cameras_do_not_see_takes_the_depth_around_it() -> None:
     rig = ring_rig(4, field_of_view=math.radians(200))  # straight up and down is between the views
-    found, _, seen = semi_global_sweep(sphere_at(4.0, rig), rig, NUM_HYPOTHESES, MIN_DEPTH)
+    found, confidence, seen = semi_global_sweep(sphere_at(4.0, rig), rig, NUM_HYPOTHESES, MIN_DEPTH, level=4)
     assert not seen.all()
+    assert not confidence[~seen].any()
     assert ((found - 4).abs() < 1).all()
 
 

@@ -10,19 +10,18 @@ Convention:
 from __future__ import annotations
 
 import math
-import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, EquirectangularCamera
 from sphericalvision.core import FileFormatError, MissingFileError, check_choice
 from sphericalvision.data.scanned.scanned_frames import Sample, ScannedFrames
+from sphericalvision.io.arrays import read_npz
 from sphericalvision.io.files import by_numbers
 from sphericalvision.io.images import read_image, read_image_size
 from sphericalvision.sphere import Equirectangular
@@ -105,30 +104,13 @@ class Deep360Dataset(ScannedFrames):
     def points(self, name: str) -> Tensor:
         """What camera 1's map of depth says."""
         path, size = self.truths[name], self.rays.shape[1::-1]
-        try:
-            depth = _array(path, 16 * math.prod(size)).squeeze().astype(np.float32)
-        except (OSError, ValueError, LookupError, zipfile.BadZipFile) as error:
-            raise FileFormatError(f"{path}: expected an .npz with arr_0, depth ({error!r:.100})") from error
-        if depth.shape != tuple(size):
+        arrays = read_npz(path, ["arr_0"], 128 * math.prod(size), "depth")
+        depth = arrays["arr_0"].squeeze()
+        if depth.shape != tuple(size) or depth.dtype.kind not in "fiu":
             raise FileFormatError(
-                f"{path}: expected depth of {size[0]} rows and {size[1]} columns, got {depth.shape}; truth and images "
-                "have to be of one size"
+                f"{path}: expected depth of {size[0]} rows and {size[1]} columns, got {depth.dtype} {depth.shape}; "
+                "truth and images have to be of one size"
             )
-        turned = torch.from_numpy(np.rot90(depth).copy())
+        turned = torch.from_numpy(np.rot90(depth).astype(np.float32))
         valid = (turned > 0) & (turned < FARTHEST)
         return (turned[..., None] * self.rays)[valid]
-
-
-def _array(path: Path, most: int) -> npt.NDArray[Any]:
-    """The array ``arr_0`` of an ``.npz``; a header that says more than so many numbers is not unpacked."""
-    with zipfile.ZipFile(path) as packed, packed.open("arr_0.npy") as file:
-        version = np.lib.format.read_magic(file)
-        read = (
-            np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        )
-        shape, _, kind = read(file)
-        if math.prod(shape) > most or kind.itemsize > 8:
-            raise ValueError(f"{kind} {shape}")
-    with np.load(path) as arrays:
-        array: npt.NDArray[Any] = arrays["arr_0"]
-    return array

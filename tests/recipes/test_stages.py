@@ -17,7 +17,7 @@ import torch
 from sphericalvision.core import ArgumentError
 from sphericalvision.models import IcoSweepNet, RefinedSweepNet, load_weights, save_weights
 from sphericalvision.recipes.app.cli import build
-from sphericalvision.recipes.datamodules.clues import SamplesWithClues, prior_of
+from sphericalvision.recipes.datamodules.clues import SamplesWithClues, clue_bytes, prior_of
 from sphericalvision.recipes.training.depth_module import DepthModule
 from tests.recipes.conftest import run_recipe
 from tests.recipes.tiny import Run, composed
@@ -190,6 +190,7 @@ def test_a_loss_from_clues_is_that_of_the_images(tmp_path: Path) -> None:
         module.log = lambda *_, **__: None  # type: ignore[method-assign,assignment]
         batch = next(iter(data.train_dataloader()))
         losses.append(module.training_step(batch, 0))
+    assert sum(2 * values[0].numel() for values in batch["clues"].values()) == clue_bytes(net, 4)
     torch.testing.assert_close(losses[1], losses[0], rtol=2e-3, atol=0)
     with pytest.raises(ArgumentError, match="IcoSweepNet"):
         SamplesWithClues(data.plain("train").of_level[4].samples, prior, prior, tmp_path)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import pytest
 import torch
 
 from sphericalvision.cameras import CameraRig
@@ -27,6 +28,14 @@ def test_each_scene_has_a_tilt_of_its_own_and_the_same_depth(rig: CameraRig) -> 
         assert torch.equal(tilted[k]["inverse_depth"], level[k]["inverse_depth"])
         assert torch.equal(tilted[k]["rig"].positions, rig.positions)
         assert not torch.equal(tilted[k]["seen"], level[k]["seen"])
+
+
+def test_tilts_are_all_between_the_least_and_the_largest(rig: CameraRig) -> None:
+    world = scenes(rig, tilts=TILTS).world
+    looks = torch.stack([world.frame(seed).true_rig.axes[:, 1].asin().mean() for seed in range(300)])
+    middle, width = sum(TILTS) / 2, TILTS[1] - TILTS[0]
+    assert looks.mean().item() == pytest.approx(middle, abs=width / 15)
+    assert looks.std().item() == pytest.approx(width / math.sqrt(12), rel=0.15)
 
 
 def test_images_are_taken_by_the_tilted_cameras(tmp_path: Path, rig: CameraRig) -> None:

@@ -104,16 +104,17 @@ class HintFiles:
             rig = self.rig.resized({name: image.shape[-2:] for name, image in images.items()})
             return Hint.of_views(Views(images, rig), self.quantity, self.fit)
         (path,) = files.values()
-        if path.suffix == ".npz":
+        suffix = path.suffix.lower()
+        if suffix == ".npz":
             keys = ("directions", "inverse_depth", "confidence")
             arrays = read_npz(path, keys, what="as sphericalvision-predict outputs=[npz] writes them")
             directions, inverse_depth, confidence = (
                 torch.from_numpy(arrays[key].astype(np.float32)) for key in keys
             )
             return Hint.of_directions(directions, inverse_depth, confidence, fit=self.fit)
-        is_points = path.suffix in POINT_SUFFIXES and path.suffix != ".npy"
+        is_points = suffix in POINT_SUFFIXES and suffix != ".npy"
         values = None if is_points else _image(path)
-        if values is None or (path.suffix == ".npy" and values.shape[1] <= MOST_COLUMNS):
+        if values is None or (suffix == ".npy" and values.shape[1] <= MOST_COLUMNS):
             if self.fit == "affine":
                 raise ArgumentError("hint_fit: affine is for images of inverse depth, got points")
             points = read_points(path).double() @ self.placement[:3, :3].mT.double() + self.placement[:3, 3]
@@ -131,7 +132,7 @@ class HintFiles:
 
 def _image(path: Path) -> Tensor:
     """An array ``(h, w)`` of depth in metres, or of whatever unit."""
-    page: Any = read_npy(path) if path.suffix == ".npy" else read_pages(path, "depth")[-1]
+    page: Any = read_npy(path) if path.suffix.lower() == ".npy" else read_pages(path, "depth")[-1]
     if page.ndim != 2 or (page.dtype != np.uint16 and page.dtype.kind != "f"):
         raise FileFormatError(
             f"{path}: expected depth (h, w), 16 bits in millimetres or floating point in metres, got {page.dtype} "

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import io
 import shutil
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -198,6 +199,39 @@ def test_stamps_of_clocks_of_their_own_are_not_compared(
     for frame in frames:
         first, second = (frame.images or {}).values()
         np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.parametrize(("count", "suffix"), [(1, "/compressed"), (2, ""), (4, "")])
+def test_of_raw_and_compressed_pictures_those_count_that_were_recorded(
+    tmp_path: Path, count: int, suffix: str
+) -> None:
+    """Raw ones, as they are as the camera saw them, unless hardly any is there."""
+    messages = [
+        (f"/{name}/image{end}", TIME + k * 10**8, TIME + k * 10**8, content)
+        for name in RIG.names
+        for end, content, number in (("", PICTURE, count), ("/compressed", compressed("png", BGR), 4))
+        for k in range(number)
+    ]
+    source = open_source(str(write_bag(tmp_path / "run", messages)), RIG)
+    assert isinstance(source, Bag)
+    assert set(source.topics.values()) == {f"/{name}/image{suffix}" for name in RIG.names}
+
+
+@pytest.mark.parametrize(("faster", "is_told"), [(1.005, True), (1.0, False)])
+def test_a_clock_that_runs_faster_than_the_other_is_told(
+    tmp_path: Path, faster: float, is_told: bool
+) -> None:
+    ways = np.random.default_rng(0).uniform(0, 2e7, 90).astype(int)  # of unlike lengths, 20 ms at most
+    messages = [
+        (f"/{name}/image", int(TIME + k * 10**8 * rate), TIME + k * 10**8 + int(way), PICTURE)
+        for name, rate in zip(RIG.names, (1.0, faster), strict=True)
+        for k, way in enumerate(ways)
+    ]
+    bag = write_bag(tmp_path / "run", sorted(messages, key=lambda message: message[2]))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        open_source(str(bag), RIG)
+    assert any("drift" in str(warning.message) for warning in caught) == is_told
 
 
 TOPICS: dict[str, tuple[list[str], tuple[str, str], dict[str, str] | None]] = {

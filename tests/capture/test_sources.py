@@ -69,6 +69,14 @@ def as_files(folder: Path, moments: Moments) -> str:
     return f"{folder}/{{camera}}/{{frame}}.png"
 
 
+def as_files_named(folder: Path, names: Sequence[str]) -> str:
+    """A picture of each name for every camera."""
+    for camera in RIG.names:
+        for name in names:
+            write_image(folder / camera / f"{name}.png", picture(1))
+    return f"{folder}/{{camera}}/{{frame}}.png"
+
+
 def as_counted_files(folder: Path, moments: Moments) -> str:
     """Image files called by the number of their moment."""
     for camera, own in moments.items():
@@ -314,6 +322,8 @@ CANDIDATES = {  # what lies in a folder, and what of it is meant; None where tha
     "previews of another name": (["VID_1.insv", "LRV_1.insv"], "VID_1"),
     "thumbnails": (["{camera}/1.png", "{camera}/1.jpg"], None),
     "images and their depth": (["{camera}/1.png", "{camera}/1_depth.png"], None),
+    "images and thumbnails": (["{camera}/1.png", "{camera}/thumb_1.png"], None),
+    "images and depth of times": (["{camera}/1700000000.1.png", "{camera}/depth-1700000000.1.png"], None),
     "pictures next to folders of them": (["{camera}/1.png", "{camera}_1.png"], None),
     "two videos": (["a.mp4", "b.mp4"], None),
     "a video and pictures of it": (["{camera}.mp4", "{camera}/1.png"], None),
@@ -352,6 +362,70 @@ def test_of_two_candidates_none_is_taken_by_the_alphabet(
     )
     if streams := getattr(source, "streams", {}):
         assert all(expected in stream.file.name for stream in streams.values())
+
+
+@pytest.mark.parametrize(
+    ("names", "is_doubtful"),
+    [
+        (("Depth1", "Image1"), True),
+        (("1", "1 (1)"), True),
+        (("1", "1@2"), True),
+        (("a_1", "b_1"), True),
+        (("a_1", "a_2"), False),
+        (("1.5", "-1.5"), False),
+        (("12", "12.5"), False),
+        (("day", "night"), False),
+    ],
+)
+def test_names_that_may_be_two_kinds_of_files_are_asked_about(
+    tmp_path: Path, names: tuple[str, str], is_doubtful: bool
+) -> None:
+    images = as_files_named(tmp_path, names)
+    source, told = opened(images)
+    assert len(source.names(Selection()) or ()) == 2
+    assert [all(name in sentence for name in names) for sentence in told] == [True] * is_doubtful
+    frames = list(names)
+    assert not opened(images, frames=frames)[1]  # who names frames has chosen
+
+
+@pytest.mark.parametrize(
+    ("key", "begins", "is_told"),
+    [
+        ("timecode", ("10:00:00:00", "10:00:02:00"), True),
+        ("timecode", ("10:00:00:00", "10:00:00:00"), False),
+        ("creation_time", ("2024-01-31T12:00:00.000000Z", "2024-01-31T12:00:02.000000Z"), True),
+        ("creation_time", ("2024-01-31T12:00:00.000000Z", "2024-01-31T12:00:01.000000Z"), False),
+    ],
+)
+def test_videos_that_say_themselves_that_they_begin_apart_are_told(
+    tmp_path: Path, key: str, begins: tuple[str, str], is_told: bool
+) -> None:
+    rig = ring_rig(2, image_size=SIZE)
+    for camera, begin in zip(rig.names, begins, strict=True):
+        with av.open(str(tmp_path / f"{camera}.mov"), "w") as file:
+            target = file.add_stream("mpeg4", rate=10)
+            target.width, target.height, target.pix_fmt = SIZE[1], SIZE[0], "yuv420p"
+            (target if key == "timecode" else file).metadata[key] = begin
+            file.mux(target.encode(av.VideoFrame.from_ndarray(picture(1), format="rgb24")))
+            file.mux(target.encode(None))
+    _, told = opened(str(tmp_path / "{camera}.mov"), rig)
+    assert ["2 s apart" in sentence for sentence in told] == [True] * is_told
+
+
+@pytest.mark.parametrize(("where", "is_told"), [("ahead", False), ("around", True)])
+def test_a_mask_that_hides_what_is_ahead_is_asked_about(tmp_path: Path, where: str, is_told: bool) -> None:
+    """A mask for programs to which black is usable shows the surround of the image circle alone."""
+    rig = ring_rig(2, image_size=(64, 64))
+    v, u = np.mgrid[:64, :64] - 31.5
+    is_ahead = np.hypot(u, v) < 28
+    for name in rig.names:
+        write_image(
+            tmp_path / f"{name}.png", (is_ahead if where == "ahead" else ~is_ahead).astype(np.uint8) * 255
+        )
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        rig_with_masks(rig, str(tmp_path / "{camera}.png"))
+    assert [str(w.message).startswith("masks: ") for w in caught] == [True] * is_told
 
 
 def test_masks_lie_side_by_side_as_their_images(tmp_path: Path) -> None:

@@ -48,6 +48,8 @@ DEPTH = re.compile("(16|32|64)|.*compressedDepth")
 """Encoding or format of images whose values are no brightness."""
 STEADY = 0.3
 """Seconds by which the time from a stamp to its receipt may vary."""
+FEWEST_FOR_DRIFT = 20
+"""Images of a third of a recording, below which their delays say nothing about clocks."""
 MAX_DELAY = 10.0
 """Seconds that an image may take from the camera to the bag."""
 MOSAIC = re.compile(r"bayer_([rgb]{4})8")
@@ -134,6 +136,8 @@ class Bag(Recording):
             moments.warnings.insert(
                 0, f"images: {path}: {clocks.pop(0)[0]} are of clocks {gap}: {clocks[0][0]} count"
             )
+        if gap is None and moments.clock == 0 and (drift := _drift(stamps, received, tolerance)):
+            moments.warnings.insert(0, f"images: {path}: {drift}")
         for name, count in damaged.items():
             moments.warnings.append(
                 f"images: {path}: {count} damaged message(s) of {self.topics[name]} are left out"
@@ -171,13 +175,13 @@ class Bag(Recording):
                 "again, or repair it with 'rosbag reindex', 'ros2 bag reindex' or 'mcap recover'"
             ) from None
 
-    def _pictured(self, reader: Any) -> list[str]:
-        """Topics whose first message is a picture: no depth, which is an image message, too."""
+    def _pictured(self, reader: Any) -> dict[str, int]:
+        """Topics whose first message is a picture: no depth, which is an image message, too; and their messages."""
         topics: dict[str, list[Any]] = {}
         for connection in reader.connections:
             if connection.msgtype in (IMAGE, COMPRESSED):
                 topics.setdefault(connection.topic, []).append(connection)
-        pictured = []
+        pictured = {}
         for topic, connections in topics.items():
             with self._own_words():
                 messages = (message for _, _, message in self._messages(reader, connections))
@@ -185,7 +189,7 @@ class Bag(Recording):
             if first is not None and not DEPTH.match(
                 getattr(first, "encoding", getattr(first, "format", ""))
             ):
-                pictured.append(topic)
+                pictured[topic] = sum(connection.msgcount for connection in connections)
         return pictured
 
     @staticmethod
@@ -265,8 +269,7 @@ def _between_clocks(
     to ``MAX_DELAY`` with one clock, too; what comes in bursts tells nothing.
     """
     medians = {}
-    for camera, own in stamps.items():
-        delays = np.array([received[camera][n] - stamp for n, stamp in own.items() if stamp]) / 1e9
+    for camera, delays in _delays(stamps, received).items():
         if not len(delays) or np.ptp(np.quantile(delays, [0.1, 0.9])) > STEADY:
             return None
         medians[camera] = float(np.median(delays))
@@ -276,13 +279,52 @@ def _between_clocks(
     return f"{medians[last] - medians[first]:.3g} s apart ({first} and {last})"
 
 
+def _delays(
+    stamps: Mapping[str, Mapping[str, int | None]], received: Mapping[str, Mapping[str, int]]
+) -> dict[str, npt.NDArray[np.float64]]:
+    """Seconds from the stamp of each image of a camera to its receipt."""
+    return {
+        camera: np.array([received[camera][n] - stamp for n, stamp in own.items() if stamp]) / 1e9
+        for camera, own in stamps.items()
+    }
+
+
+def _drift(
+    stamps: Mapping[str, Mapping[str, int | None]],
+    received: Mapping[str, Mapping[str, int]],
+    tolerance: float,
+) -> str | None:
+    """A sentence on clocks of which one is faster, so that images of one moment have other stamps in the end.
+
+    The way of an image takes a time that varies, and hardly ever less than its least, by which clocks are compared.
+    """
+    drifts = {}
+    for camera, delays in _delays(stamps, received).items():
+        third = len(delays) // 3
+        if third < FEWEST_FOR_DRIFT:
+            return None
+        drifts[camera] = float(delays[-third:].min() - delays[:third].min())
+    first, last = (choose(drifts, key=drifts.__getitem__) for choose in (min, max))
+    if drifts[last] - drifts[first] <= tolerance:
+        return None
+    return (
+        f"the clocks of {first} and {last} drift apart by {drifts[last] - drifts[first]:.2g} s, as the times at which "
+        "the bag received their images show: by stamps, late images are paired with those of other moments; correct "
+        "the stamps, or take a part with start= and stop="
+    )
+
+
 def _topics(
-    topics: Sequence[str], names: Sequence[str], used: Sequence[str], chosen: Mapping[str, str], path: Path
+    topics: Mapping[str, int],
+    names: Sequence[str],
+    used: Sequence[str],
+    chosen: Mapping[str, str],
+    path: Path,
 ) -> dict[str, str]:
     """Camera name -> topic: the one chosen for it, of its name, or of its number.
 
     Args:
-        topics: of pictures, raw and compressed.
+        topics: of pictures, raw and compressed, and how many messages each has.
         names: cameras of the whole rig.
         used: cameras in use.
         chosen: camera name -> topic.
@@ -291,8 +333,15 @@ def _topics(
     Raises:
         ArgumentError: it cannot be told which topic is whose.
     """
-    # What image_transport publishes raw and compressed is one picture, of which the raw one is as it was taken.
-    single = [topic for topic in topics if topic.removesuffix("/compressed") not in set(topics) - {topic}]
+    # What image_transport publishes raw and compressed is one picture, of which the raw one is as it was taken; unless
+    # only a few of those were recorded.
+    single = []
+    for topic in topics:
+        raw = topic.removesuffix("/compressed")
+        packed = f"{raw}/compressed"
+        is_raw_better = raw in topics and 2 * topics[raw] >= topics.get(packed, 0)
+        if topic == (raw if is_raw_better else packed):
+            single.append(topic)
     own = {
         name: sorted({chosen[name]} & set(topics)) if name in chosen else _topics_named(single, name)
         for name in used

@@ -9,6 +9,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import torch
+
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.calibration.parsing import errors_of_file
 from sphericalvision.capture.sources.bags import Bag, bag_of
@@ -31,6 +33,10 @@ LAYOUTS = (
     "cam{camera}",
 )
 """How folders of captures name their files, most explicit first."""
+MASK_SAMPLES = 100
+"""Pixels of the longer side of a mask that are looked at."""
+LEAST_AHEAD = 0.01
+"""Of the inner half of a field of view, usable."""
 JOINED = "{frame}"
 """How they name pictures with the views of all cameras, and images of one."""
 
@@ -267,7 +273,8 @@ def rig_with_masks(
     if "{" not in masks and path.is_file() and len(rig) > 1:
         views = split_views(read_mask(path, what="a mask of all views"), rig)
         with errors_of_file(str(path)):
-            return rig.replaced(masks={name: views[name].contiguous() for name in names}), [path]
+            masked = rig.replaced(masks={name: views[name].contiguous() for name in names})
+        return _with_centers_seen(masked, names), [path]
     if "{camera}" not in masks or "{frame" in masks:
         raise ArgumentError(
             "masks: expected a pattern with {camera} only, such as 'capture/cam{camera}/mask.png', or one image with "
@@ -279,4 +286,24 @@ def rig_with_masks(
         name: read_mask(file, rig.cameras[name].image_size, f"the mask of camera {name}")
         for name, file in files.items()
     }
-    return rig.replaced(masks=usable), list(files.values())
+    return _with_centers_seen(rig.replaced(masks=usable), names), list(files.values())
+
+
+def _with_centers_seen(rig: CameraRig, names: Sequence[str]) -> CameraRig:
+    """The rig, with a warning where masks hide what cameras see ahead, as those do whose black is usable."""
+    hiding = []
+    for name in names:
+        camera = rig.cameras[name]
+        step = -(-max(camera.image_size) // MASK_SAMPLES)
+        rays, valid = camera.unproject(camera.pixel_grid(torch.float32)[::step, ::step])
+        angles = torch.atan2(rays[..., :2].norm(dim=-1), rays[..., 2])
+        ahead = valid & (angles < camera.max_angle / 2)
+        if bool(ahead.any()) and float(rig.masks[name][::step, ::step][ahead].float().mean()) < LEAST_AHEAD:
+            hiding.append(name)
+    if hiding:
+        warnings.warn(
+            f"masks: those of {', '.join(hiding)} hide what these cameras see ahead; masks are white where images are "
+            "usable. Is black usable in these files?",
+            stacklevel=3,
+        )
+    return rig

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 import string
+import warnings
 from collections.abc import Container, Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from sphericalvision.core import ArgumentError, MissingFileError
 from sphericalvision.io.times import SAME_TIME, are_counts, in_order, seconds
 
 EXAMPLE = "'capture/cam{camera}/{frame:05d}.png'"
+_NUMBER = re.compile(r"^-?\d+(?:\.\d+)*|\d+(?:\.\d+)*")
+"""In a frame's name; a time with decimals is one."""
 
 
 def find_files(
@@ -78,16 +81,40 @@ def find_files(
 
 
 def _check_one_kind(names: Iterable[str], pattern: str, key: str) -> None:
-    """Refuse frames that differ in what stands behind their number: images, and their depth or masks."""
-    first: dict[str, str] = {}
-    for name in sorted(names):
-        stem = re.sub(r"\D+$", "", name)
-        if stem and first.setdefault(stem, name) != name:
-            numbers = pattern.replace("{frame}", f"{{frame:0{len(stem)}d}}")
-            raise ArgumentError(
-                f"{key}: {pattern!r} has several kinds of files, such as images and their depth or masks: "
-                f"{first[stem]} and {name}. Name one: {numbers!r} for numbers alone, or with what stands behind them"
-            )
+    """Refuse frames of which some are images and others what belongs to them: their depth, masks, thumbnails, copies.
+
+    They have the same numbers, and one name holds the other (``0001``, ``thumb_0001``) or differs behind the numbers.
+    Names of one number that differ otherwise (``Image0001`` and ``Depth0001``, ``0001`` and ``0001 (1)``) may be frames
+    of their own, and a warning asks.
+    """
+    named: dict[tuple[str, ...], str] = {}
+    doubt: tuple[str, str] | None = None
+    for name in sorted(names, key=lambda name: (len(name), name)):
+        numbers = tuple(_NUMBER.findall(name))
+        for count in range(1, len(numbers) + 1):
+            if (twin := named.get(numbers[:count])) is None:
+                continue
+            if count == len(numbers) and (twin in name or _up_to_number(twin) == _up_to_number(name)):
+                raise ArgumentError(f"{key}: {_several_kinds(pattern, twin, name)}")
+            doubt = doubt or (twin, name)
+        named.setdefault(numbers, name)
+    if doubt:
+        warnings.warn(f"{key}: {_several_kinds(pattern, *doubt)}, unless all are frames", stacklevel=5)
+
+
+def _up_to_number(name: str) -> str:
+    """A name without what stands behind its last number."""
+    return re.sub(r"\D+$", "", name)
+
+
+def _several_kinds(pattern: str, name: str, other: str) -> str:
+    """A sentence on two kinds of files, with a pattern of one where a number is all of what differs in it."""
+    digits = re.sub(r"\d+", lambda number: f"{{frame:0{len(number[0])}d}}", name)
+    example = f", such as {pattern.replace('{frame}', digits)!r}" if digits.count("{") == 1 else ""
+    return (
+        f"{pattern!r} has several kinds of files, such as images and their depth or masks: {name} and {other}. Name "
+        f"one in the pattern{example}, or move the others"
+    )
 
 
 def _clocks(files: Mapping[str, Mapping[str, Path]]) -> list[Clock]:

@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from datetime import datetime
 from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
@@ -33,6 +35,8 @@ VIDEO_SUFFIXES = (
         ".ts",
     ),  # of 360 cameras and camcorders, maybe of several streams
 )
+WHOLE_SECONDS = 1.5
+"""Of times of creation, by which recordings of one moment may differ."""
 MAX_MISSING = 2**20
 """Pictures that a header may count behind the end of a file; nine hours of them. A damaged one counts billions."""
 Picture = npt.NDArray[np.uint8]
@@ -51,6 +55,7 @@ class VideoStream(NamedTuple):
         times: the same in seconds, None where the file has no stamps; also of what a header promises after the end.
         key_frames: positions of the pictures that can be decoded without others.
         damaged: positions of the pictures that the file cuts short.
+        begins: seconds at which a clock of the camera says that the recording began, by where the file says it.
     """
 
     file: Path
@@ -62,6 +67,7 @@ class VideoStream(NamedTuple):
     times: list[float | None]
     key_frames: list[int]
     damaged: set[int]
+    begins: dict[str, float]
 
     def __str__(self) -> str:
         return f"stream {self.number} of {self.file}" if self.of > 1 else str(self.file)
@@ -123,7 +129,35 @@ def _described(
         times,
         [position for position, packet in enumerate(packets) if packet.is_key],
         {position for position, packet in enumerate(packets) if packet.is_cut},
+        _begins(container.metadata | stream.metadata, rate),
     )
+
+
+def _begins(metadata: Mapping[str, str], rate: float) -> dict[str, float]:
+    """When a recording began: by a timecode, counted from midnight, and by a date."""
+    begins = {}
+    if (match := re.fullmatch(r"(\d+):(\d+):(\d+)[:;.](\d+)", metadata.get("timecode", ""))) and rate:
+        hours, minutes, seconds, pictures = map(int, match.groups())
+        begins["timecode"] = 3600 * hours + 60 * minutes + seconds + pictures / rate
+    with suppress(ValueError):
+        begins["creation_time"] = datetime.fromisoformat(metadata.get("creation_time", "")).timestamp()
+    return begins
+
+
+def _say_if_begun_apart(streams: Mapping[str, VideoStream], tolerance: float) -> list[str]:
+    """A sentence on cameras whose files say that they did not begin at one moment, if they do.
+
+    Clocks of cameras differ, and some write when a recording ended: that is no way to pair pictures.
+    """
+    for key, slack in (("timecode", tolerance), ("creation_time", WHOLE_SECONDS)):
+        begins = {name: own.begins[key] for name, own in streams.items() if key in own.begins}
+        first, last = (choose(begins, key=begins.__getitem__, default="") for choose in (min, max))
+        if len(begins) == len(streams) and (gap := begins[last] - begins[first]) > slack:
+            return [
+                f"images: by their {key} the videos of {first} and {last} begin {gap:.3g} s apart, and pictures are "
+                "paired by the times since each begins; cut the videos so that they begin together, if they do not"
+            ]
+    return []
 
 
 def _missing(path: Path, container: Any, stream: Any, times: Sequence[float | None], is_cut: bool) -> int:
@@ -296,6 +330,7 @@ class Videos(Recording):
             for name, stream in self.streams.items()
         }
         moments = pair_moments(positions, self._clocks(positions), tolerance, names="their numbers")
+        moments.warnings.extend(_say_if_begun_apart(self.streams, tolerance))
         super().__init__(moments, rig, whole)
         first = next(iter(self.streams.values()))
         self.rate, self._times = first.rate, moments.times

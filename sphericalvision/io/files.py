@@ -169,7 +169,7 @@ def part_of_name(name: str, replaced: str = PORTABLE) -> str:
         >>> part_of_name("cam1"), part_of_name("../../x"), part_of_name("left eye", SEPARATORS)
         ('cam1', '.._.._x-422533a8', 'left eye')
     """
-    plain = re.sub(replaced, "_", name)[:80]
+    plain = re.sub(r"^\.*$", "_", re.sub(replaced, "_", name)[:80])  # . and .. are folders
     return plain if plain == name else f"{plain}-{zlib.crc32(name.encode(errors='replace')):08x}"
 
 

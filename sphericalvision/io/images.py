@@ -24,6 +24,12 @@ from sphericalvision.io.files import read_bytes, write_bytes
 MAX_PIXELS = 2**27
 """Pixels of all pages of an image file together; a file that says it has more is refused before it is decoded."""
 
+MAX_PAGES = 256
+"""Of an image file: of a film of tiny pages each takes time, whatever its size."""
+
+MAX_SCANS = 200
+"""Of a JPEG, each of which passes over the whole image; programs write about ten."""
+
 ORIENTATION = 0x0112
 """Tag of an image file: which way up it is to be shown."""
 
@@ -112,6 +118,8 @@ def read_image(
     page = _to_rgb(_first_page(path, image_size, what))
     if page.ndim == 2:
         page = np.repeat(page[..., None], 3, axis=-1)
+    if page.dtype == np.uint16:
+        warn_of_bits(int(page.max(initial=0)), what)
     scaled = page.astype(np.float32) / np.float32(np.iinfo(page.dtype).max)
     return torch.from_numpy(np.ascontiguousarray(scaled.transpose(2, 0, 1)))
 
@@ -228,6 +236,22 @@ def write_image(path: str | Path, image: Tensor | Array) -> None:
     write_pages(path, [image[..., 0] if image.ndim == 3 and image.shape[-1] == 1 else image])
 
 
+def warn_of_bits(brightest: int, what: str) -> None:
+    """Warn where an image of 16 bits has no more than 10 or 12, as sensors give them: it is nearly black.
+
+    Args:
+        brightest: value of it.
+        what: it is, for the message.
+    """
+    if 255 < brightest < 4096:
+        bits = 10 if brightest < 1024 else 12
+        warnings.warn(
+            f"{what}: expected 16 bits, of which 65535 is white, but none is above {2**bits - 1}; if these are {bits} "
+            f"bits, multiply them by {2 ** (16 - bits)}",
+            stacklevel=3,
+        )
+
+
 def as_bytes(image: Float[Tensor, "c h w"]) -> Array:
     """Return an image ``(c, h, w)`` in [0, 1] as uint8 ``(h, w, c)``; values beyond are clipped.
 
@@ -331,7 +355,9 @@ def _sizes(encoded: Array) -> tuple[list[Size], bool]:
         try:
             with Image.open(io.BytesIO(encoded.tobytes())) as image:
                 turned = image.format == "TIFF" and image.getexif().get(ORIENTATION, 1) != 1
-                while sum(height * width for height, width in sizes) <= MAX_PIXELS:
+                while (
+                    sum(height * width for height, width in sizes) <= MAX_PIXELS and len(sizes) <= MAX_PAGES
+                ):
                     image.seek(len(sizes))  # the first page, then one after the other until there is none
                     sizes.append((image.height, image.width))
         except Image.DecompressionBombError:  # whose own bound is a little higher
@@ -340,8 +366,10 @@ def _sizes(encoded: Array) -> tuple[list[Size], bool]:
 
 
 def _chunks_fit(encoded: Array) -> bool:
-    """Whether all chunks of a PNG end within the file; True for other files."""
+    """Whether all chunks of a PNG end within the file, and a JPEG has no more than ``MAX_SCANS``; True for others."""
     content, at = memoryview(encoded.tobytes()), 8
+    if content[:2] == b"\xff\xd8":
+        return encoded.tobytes().count(b"\xff\xda") <= MAX_SCANS
     if content[:8] != b"\x89PNG\r\n\x1a\n":
         return True
     while at + 12 <= len(content) and content[at + 4 : at + 8] != b"IEND":
@@ -360,6 +388,8 @@ def _check_sizes(path: str | Path, sizes: list[Size], image_size: Size | None) -
         raise FileFormatError(
             f"{path}: expected an image of at most {MAX_PIXELS} pixels on all of its pages together, got more"
         )
+    if len(sizes) > MAX_PAGES:
+        raise FileFormatError(f"{path}: expected an image of at most {MAX_PAGES} pages, got more")
 
 
 def _to_rgb(page: Array) -> Array:

@@ -175,6 +175,8 @@ def test_names_from_elsewhere_lead_nowhere(name: str, tmp_path: Path) -> None:
     write_bytes(file, b"x")
     assert [path.relative_to(tmp_path).parts[0] for path in tmp_path.rglob("*.png")] == ["inside"]
     assert file.parent == tmp_path / "inside"
+    folder = tmp_path / "inside" / part_of_name(name)
+    assert folder.resolve().parent == tmp_path / "inside"
 
 
 @pytest.mark.parametrize("read", [read_text, read_image, read_camera])

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import resource
 import struct
+import warnings
 import zlib
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import pytest
 import torch
 from PIL import Image
 
+from sphericalvision.cameras import ring_rig
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, ShapeError
 from sphericalvision.io.images import (
     read_image,
@@ -24,6 +26,7 @@ from sphericalvision.io.images import (
     write_mask,
     write_pages,
 )
+from sphericalvision.sphere.intake import as_photographs
 
 
 def test_eight_bit_colours_come_back_and_channels_are_red_green_blue(tmp_path: Path) -> None:
@@ -201,6 +204,38 @@ def test_a_small_file_that_claims_to_be_huge_costs_no_memory(
         read_image(tmp_path / "bomb.png")
     with pytest.raises(FileFormatError, match=r"bomb\.png: expected 48 x 50 pixels"):
         read_image(tmp_path / "bomb.png", (50, 48))
+
+
+def test_images_of_many_pages_or_passes_are_refused(tmp_path: Path) -> None:
+    """Each takes time, however few pixels there are."""
+    film, jpeg = tmp_path / "a.gif", tmp_path / "a.jpg"
+    pages = [Image.new("L", (2, 2), number % 256) for number in range(300)]
+    pages[0].save(film, save_all=True, append_images=pages[1:])
+    encoded = cv2.imencode(".jpg", np.eye(64, dtype=np.uint8), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
+    last = encoded.rindex(b"\xff\xda")
+    jpeg.write_bytes(encoded)
+    assert read_image(jpeg).shape == (3, 64, 64)
+    jpeg.write_bytes(encoded[:-2] + encoded[last:-2] * 300 + encoded[-2:])
+    for path in (film, jpeg):
+        with pytest.raises(FileFormatError, match=path.name):
+            read_image(path)
+
+
+@pytest.mark.parametrize(("brightest", "is_told"), [(1000, True), (4000, True), (200, False), (5000, False)])
+def test_sixteen_bits_of_which_some_are_unused_are_asked_about(
+    tmp_path: Path, brightest: int, is_told: bool
+) -> None:
+    image = np.linspace(0, brightest, 48).astype(np.uint16).reshape(6, 8)
+    write_pages(tmp_path / "a.png", [image])
+    rig = ring_rig(2, image_size=(6, 8))
+    for read in (
+        lambda: read_image(tmp_path / "a.png"),
+        lambda: as_photographs(dict.fromkeys(rig.names, image), rig),
+    ):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            read()
+        assert any("multiply" in str(warning.message) for warning in caught) == is_told
 
 
 def test_the_size_is_checked_before_pixels_are_decoded(

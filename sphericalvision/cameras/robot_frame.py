@@ -14,6 +14,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, check_file
+from sphericalvision.io.comments import warn_of_comments
 from sphericalvision.kernels import full_precision
 
 OPTICAL_FROM_ROS = torch.tensor(
@@ -66,6 +67,7 @@ def read_pose(path: str | Path, key: str) -> Float[Tensor, "4 4"]:
     from sphericalvision.cameras.calibration.trajectories import read_trajectory
 
     lines = check_file(path, "a pose").read_bytes().decode(errors="replace").splitlines()
+    warn_of_comments(Path(path), lines)
     rows = [re.sub(r"[\[\](),;]|\barray\b", " ", line.split("#")[0]).split() for line in lines]
     entries = [entry for row in rows for entry in row]
     if {len(row) for row in rows if row} in ({4}, {12}, {16}) and len(entries) in (12, 16):

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from sphericalvision.core import FileFormatError, check_file
 from sphericalvision.io.arrays import read_npy
+from sphericalvision.io.comments import FIRST, warn_of_comments
 from sphericalvision.io.ply_header import read_ply_header
 
 POINT_SUFFIXES = (".pcd", ".bin", ".ply", ".npy", ".csv", ".xyz")
@@ -72,15 +73,16 @@ def read_points(
         torch.Size([2, 3])
     """
     path = check_file(path, "scanned points")
-    if path.suffix not in POINT_SUFFIXES:
+    suffix = path.suffix.lower()
+    if suffix not in POINT_SUFFIXES:
         raise FileFormatError(f"{path}: expected one of {', '.join(POINT_SUFFIXES)}, got {path.suffix!r}")
     try:
-        if path.suffix == ".bin":
+        if suffix == ".bin":
             points = _bin(path, columns)
-        elif path.suffix == ".pcd":
+        elif suffix == ".pcd":
             points = _pcd(path, ignore_viewpoint)
         else:
-            points = _READERS[path.suffix](path)
+            points = _READERS[suffix](path)
     except FileFormatError:
         raise
     except Exception as error:  # numpy and trimesh raise whatever they meet in a damaged file
@@ -99,8 +101,11 @@ def read_points(
     if len(coordinates) and (farthest := np.abs(coordinates).max()) > FARTHEST:
         raise FileFormatError(
             f"{path}: a point is {farthest:.3g} m from the origin, which no scan has; expected metres"
-            + (f"; {_COLUMNS_REMEDY}" if path.suffix == ".bin" else "")
+            + (f"; {_COLUMNS_REMEDY}" if suffix == ".bin" else "")
         )
+    if suffix not in (".bin", ".npy"):
+        with path.open("rb") as file:
+            warn_of_comments(path, file.read(FIRST * FIRST).decode("latin-1").splitlines())
     return torch.from_numpy(coordinates)
 
 
@@ -209,7 +214,7 @@ def _text(path: Path) -> Any:
     delimiter = next((sign for sign in ";\t," if sign in "".join(lines[start : start + 1])), None)
     columns = [0, 1, 2]
     for line in lines[:start]:
-        header = re.sub(r"\s*[\[(]m[\])]", "", line.lower().lstrip("#/ "))  # metres, as they should be
+        header = re.sub(r"[\[(]m[\])]", "", line.lower().lstrip("#/ "))  # metres, as they should be
         separator = delimiter if delimiter and delimiter in header else None
         names = [name.strip(" ,;\"'") for name in header.split(separator)]  # which may hold blanks
         if set(_AXES) <= set(names):

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from sphericalvision.cameras import (
 )
 from sphericalvision.cameras.calibration.keys import with_keys
 from sphericalvision.core import FileFormatError
-from tests.cameras.calibration_samples import dump
+from tests.cameras.calibration_samples import TEXTS, dump, sample
 
 LENS = PinholeCamera([300.0, 300.0], [319.5, 239.5], (480, 640))
 
@@ -116,6 +117,39 @@ def test_numbers_of_calibrations_have_bounds(tmp_path: Path) -> None:
         (tmp_path / "cameras.txt").write_text(f"1 {lens}\n")
         with pytest.warns(UserWarning, match=f"cam1: .*{doubt}"):
             read_camera(tmp_path / "cameras.txt")
+    stretched = TEXTS["lens.txt"].replace("1.0 0.0 0.0", "1000 0 0")
+    with pytest.warns(UserWarning, match="focal length "):
+        read_camera(dump(tmp_path / "lens.txt", stretched))
+
+
+def _device(content: dict[str, Any]) -> None:
+    content["CameraCalibrations"][1]["Calibrated"] = False
+
+
+def _clocks(content: dict[str, Any]) -> None:
+    content["cam0"]["timeshift_cam_imu"], content["cam1"]["timeshift_cam_imu"] = 0.001, 0.051
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "said"),
+    [("device.json", _device, "camera-rgb"), ("camchain.yaml", _clocks, r"cam0 and cam1 are 0\.05 s apart")],
+)
+def test_what_a_file_says_against_itself_is_told(
+    tmp_path: Path, name: str, change: Callable[[dict[str, Any]], None], said: str
+) -> None:
+    content = sample(name)
+    change(content)
+    with pytest.warns(UserWarning, match=rf"{name}.*{said}"):
+        assert (
+            read_rig(dump(tmp_path / name, content)).names
+            == read_rig(dump(tmp_path / name, sample(name))).names
+        )
+
+
+def test_a_mask_of_all_frames_is_no_key_of_the_file(tmp_path: Path) -> None:
+    content = sample("transforms.json") | {"mask_path": "mask.png"}
+    with pytest.raises(FileFormatError, match="mask_path"):
+        read_rig(dump(tmp_path / "transforms.json", content))
 
 
 def test_keys_of_a_frame_count_before_those_of_the_file() -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from pathlib import Path
 
 import pytest
@@ -187,6 +188,42 @@ def test_the_other_order_of_quaternions_is_told(tmp_path: Path) -> None:
     assert torch.equal(
         read_trajectory(tmp_path / "way.txt").world_from_camera[:, 1, 1], torch.ones(4).double()
     )
+
+
+@pytest.mark.parametrize(
+    ("comment", "is_told"),
+    [
+        ("positions in millimetres", True),
+        ("units: cm", True),
+        ("mm", True),
+        ("world to camera", True),
+        ("T_cam_world of each image", True),
+        ("quaternion order: qw qx qy qz", True),
+        ("time lat lon alt qx qy qz qw", True),
+        ("positions in m, of a rig with 60 mm lenses", False),
+        ("camera to world, metres", False),
+        ("time tx ty tz qx qy qz qw", False),
+        ("written in minutes", False),
+        ("IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME", False),
+    ],
+)
+def test_a_comment_against_the_convention_is_asked_about(tmp_path: Path, comment: str, is_told: bool) -> None:
+    path = tmp_path / "way.txt"
+    path.write_text(f"# {comment}\n0.0 0 0 0 0 0 0 1\n0.1 0 0 5 0 0 0 1\n")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        read_trajectory(path)
+    assert [f"{path}, line 1" in str(warning.message) for warning in caught] == [True] * is_told
+
+
+def test_a_second_header_in_another_order_is_refused(tmp_path: Path) -> None:
+    first, second = "# time tx ty tz qx qy qz qw\n", "# time tx ty tz qw qx qy qz\n"
+    path = tmp_path / "way.txt"
+    path.write_text(f"{first}0 0 0 0 0 0 0 1\n{first}1 0 0 5 0 0 0 1\n")
+    assert len(read_trajectory(path)) == 2
+    path.write_text(f"{first}0 0 0 0 0 0 0 1\n{second}1 0 0 5 1 0 0 0\n")
+    with pytest.raises(FileFormatError, match="line 3"):
+        read_trajectory(path)
 
 
 def test_what_is_not_there_is_told(tmp_path: Path) -> None:

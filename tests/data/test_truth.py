@@ -183,6 +183,25 @@ def test_arrays_that_are_no_scans_are_refused(
         read_points(tmp_path / name)
 
 
+@pytest.mark.parametrize(
+    ("name", "head"),
+    [
+        ("a.xyz", "# units: mm\n"),
+        ("a.csv", "// positions in millimetres\nx,y,z\n"),
+        (
+            "A.PLY",
+            "ply\nformat ascii 1.0\ncomment unit: mm\nelement vertex 1\n"
+            + "".join(f"property float {axis}\n" for axis in "xyz")
+            + "end_header\n",
+        ),
+    ],
+)
+def test_a_cloud_whose_comment_says_another_unit_is_asked_about(tmp_path: Path, name: str, head: str) -> None:
+    (tmp_path / name).write_text(f"{head}1000{',' if '.csv' in name else ' '}2 3\n".replace(",2 3", ",2,3"))
+    with pytest.warns(UserWarning, match=rf"{name}, line \d: expected metres"):
+        assert read_points(tmp_path / name).tolist() == [[1000, 2, 3]]
+
+
 def test_files_that_hold_no_points_are_refused_by_name(tmp_path: Path) -> None:
     write_pcd(tmp_path / "packed.pcd", np.ones((2, 3)), "binary_compressed")
     with pytest.raises(FileFormatError, match="binary_compressed"):

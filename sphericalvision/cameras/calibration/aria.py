@@ -15,6 +15,7 @@ References:
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 from torch import Tensor
@@ -42,7 +43,7 @@ _SIZES = {"camera-slam": (480, 640), "camera-rgb": (2880, 2880), "camera-et": (2
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
     """Cameras and poses of a parsed file."""
-    calibration = Gathered(options)
+    calibration, nominal = Gathered(options), []
     for values in content.several("CameraCalibrations"):
         label, projection = values.entry("Label"), values.inner("Projection")
         if not isinstance(label, str):
@@ -54,6 +55,13 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
         size = size or options.given_size(f"{projection.where} of {label!r}")
         camera = lens.camera(numbers, size, projection.where)
         calibration.add(label, camera, values.where, _pose(values.inner("T_Device_Camera")))
+        if not values.get("Calibrated", True):
+            nominal.append(label)
+    if nominal:
+        warnings.warn(
+            f"{path}: {', '.join(nominal)[:200]}: Calibrated is false: numbers of a design, not of these cameras",
+            stacklevel=5,
+        )
     return calibration.contents
 
 
@@ -72,6 +80,6 @@ register_format(
         "Project Aria json",
         recognizes_keys=has_all("CameraCalibrations"),
         contents_of_keys=contents,
-        ignored=r"DeviceClassInfo|\w+Calibrations|\w*Origin\w*|.*/(Calibrated|SerialNumber|Description|Confidence|Time\w*)",
+        ignored=r"DeviceClassInfo|\w+Calibrations|\w*Origin\w*|.*/(SerialNumber|Description|Confidence|Time\w*)",
     )
 )

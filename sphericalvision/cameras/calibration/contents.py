@@ -23,6 +23,8 @@ SHORTEST, LONGEST = 0.02, 100.0
 """Focal lengths in longer sides of the image: a lens of 280° has 0.2, a telescope 50."""
 LEAST_SQUARE = 3.0
 """How many times longer than the other a focal length may be: anamorphic lenses have 2."""
+NEAR_AXIS = 1e-4
+"""Tangent of the angle from the axis at which focal lengths are measured."""
 LEAST_REACH = 0.05
 """Longer sides of the image from the axis, to which a model must hold: the smallest image circles reach 0.2."""
 
@@ -68,7 +70,10 @@ class Contents:
             raise FileFormatError(
                 f"{path}: a camera is more than {FARTHEST:g} m from the origin; expected metres"
             )
+        lenses: dict[int, tuple[str, Camera]] = {}
         for name, camera in self.cameras.items():
+            lenses.setdefault(id(camera), (name, camera))  # of which there may be many views
+        for name, camera in lenses.values():
             if doubts := _doubts(camera):  # of which the first camera's are probably those of all
                 for doubt in doubts:
                     warnings.warn(f"{path}, {name:.80}: {doubt}", stacklevel=5)
@@ -125,12 +130,16 @@ def _doubts(camera: Camera) -> list[str]:
     """What is implausible of a camera, a sentence each."""
     sentences, (height, width) = [], camera.image_size
     longest = max(height, width)
-    focal_length, center = (getattr(camera, name, None) for name in ("focal_length", "principal_point"))
-    if focal_length is not None:
-        low, high = float(focal_length.min()), float(focal_length.max())
+    # What a pixel is wide at the axis, whatever the model calls its focal length and its affine part.
+    rays = torch.tensor([[0.0, 0.0, 1.0], [NEAR_AXIS, 0.0, 1.0], [0.0, NEAR_AXIS, 1.0]], dtype=torch.float64)
+    pixels, valid = camera.project(rays)
+    center = getattr(camera, "principal_point", None)
+    if bool(valid.all()):
+        lengths = ((pixels[1:] - pixels[0]).norm(dim=-1) / NEAR_AXIS).tolist()
+        low, high = min(lengths), max(lengths)
         if low <= SHORTEST * longest or high >= LONGEST * longest or high > LEAST_SQUARE * low:
             sentences.append(
-                f"the focal length {focal_length.tolist()} is implausible for an image of {width} x {height} (width x "
+                f"the focal length {low:.4g} to {high:.4g} is implausible for an image of {width} x {height} (width x "
                 "height); are these millimetres, or fractions of the image? Expected pixels, about as many in x as in y"
             )
         elif float(camera.max_angle) * high < LEAST_REACH * longest:

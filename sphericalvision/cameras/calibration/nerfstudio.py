@@ -68,8 +68,8 @@ _OWN |= set(_DISTORTION)
 _IGNORED = (
     r"aabb\w*|offset|up|from_na|applied_transform|\w*filenames|sharpness\w*|render_aabb|n_extra_learnable_dims|n_frames"
     r"|(orientation|auto_scale_poses)_override|(white|black)_transparent|(integer_depth|depth_unit)_scale\w*|has_mask"
-    r"|enable_depth_loading|test_frames|(frames/)?(w|h|\w+_path|camera_angle_[xy]|fl_[xy]|c[xy]|k[1-4]|p[12])"
-    r"|frames/(sharpness|colmap_im_id|rotation|time|bbox)"
+    r"|enable_depth_loading|test_frames|(frames/)?(w|h|camera_angle_[xy]|fl_[xy]|c[xy]|k[1-4]|p[12])|\w*ply\w*_path"
+    r"|frames/(sharpness|colmap_im_id|rotation|time|bbox|\w+_path)"
 )
 
 

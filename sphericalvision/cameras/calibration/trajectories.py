@@ -26,6 +26,7 @@ from sphericalvision.cameras.calibration.poses import transform_from_numbers, tr
 from sphericalvision.cameras.trajectory import Trajectory
 from sphericalvision.core import FileFormatError, MissingFileError, check_file
 from sphericalvision.geometry import invert_transform
+from sphericalvision.io.comments import METRES, warn_of_comments
 from sphericalvision.io.files import read_text
 from sphericalvision.io.times import in_order, seconds
 
@@ -53,6 +54,11 @@ _SETS = re.compile(
     r"(?i)(\w*_)?(id|cam(era)?|sensor|session|rig|device|robot|agent|body|bad|valid|lost|status)"
 )
 """Columns by which the lines may be poses of several cameras, or not all of them good."""
+_CONVENTIONS = {
+    r"world[ _-]*(to|2)[ _-]*cam|\bw2c\b|\bT_?(c|cam|camera)_?(w|world)\b|\bcam(era)?_from_world": "camera to world",
+    r"\bq?w[\s,]+q?x[\s,]+q?y[\s,]+q?z\b(?!.*camera_id)": "qx qy qz qw, or a header of all columns",
+}
+"""What a comment says of poses, and what is expected."""
 _NO_METRES = re.compile(r"(?i)[xyz]\"?\s*[\[(]\s*([ckm]m)\s*[\])]")
 """Of a header, the unit behind a position."""
 
@@ -170,8 +176,14 @@ def _table(path: Path) -> tuple[list[str] | None, list[tuple[int, list[str]]]]:
     and they stay.
     """
     header, lines = None, []
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
-        if (names := _columns(line)) is not None:
+    rows = [(line, _columns(line)) for line in read_text(path).splitlines()]
+    warn_of_comments(path, [line if names is None else "" for line, names in rows], METRES | _CONVENTIONS)
+    for number, (line, names) in enumerate(rows, start=1):
+        if names is not None:
+            if header not in (None, names):
+                raise FileFormatError(
+                    f"{path}, line {number}: a second header that differs from the first; expected one order in a file"
+                )
             if unit := _NO_METRES.search(line):
                 raise FileFormatError(
                     f"{path}, line {number}: expected positions in metres, the header says {unit[1]}; bring them to "
@@ -207,7 +219,7 @@ def _time(header: list[str], words: list[str], values: list[float], where: str) 
 
 def _columns(line: str) -> list[str] | None:
     """What the words of a header stand for, a name of ``_HEADERS`` or as they are; None of any other line."""
-    tokens = re.sub(r"[\[(][^])]*[])]|[#,;\"]", " ", line).split()
+    tokens = re.sub(r"[\[(][^][()]*[])]|[#,;\"]", " ", line).split()
     names = [
         next((to for to, pattern in _HEADERS.items() if pattern.fullmatch(word)), word) for word in tokens
     ]

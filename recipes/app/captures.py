@@ -234,7 +234,7 @@ class PosedCapture(Capture):
             return Moving(source, trajectory, self.window, self.spacing or 0.0)  # type: ignore[return-value]
 
     def _num_cameras(self) -> int | None:
-        """How many cameras the calibration has; None where it cannot be read."""
+        """Count the cameras of the calibration; None where it cannot be read."""
         if self.calibration == PANORAMA and not Path(PANORAMA).exists():
             return 1
         try:
@@ -292,12 +292,7 @@ def print_labels(source: Source) -> None:
 
 
 def recorded_names(source: Source, selection: Selection, where: str = "") -> list[str]:
-    """Names of the selected frames of a rig's recording.
-
-    Args:
-        source: of the frames.
-        selection: of them.
-        where: key that has those of the capture below it, with its dot, for messages.
+    """Names of the selected frames of a rig's recording; ``where`` is what keys in messages begin with, ``"data."``.
 
     Raises:
         ArgumentError: live cameras, or one camera.
@@ -323,7 +318,7 @@ def recorded_photographs(source: Source, names: Container[str]) -> Iterator[tupl
 
 
 def evenly_chosen(source: Source, count: int) -> Iterator[Frame]:
-    """So many frames of a recording, from the first to the last; of live cameras all."""
+    """Frames of a recording at even distances, ``count`` of them; of live cameras all."""
     names = source.names(Selection())
     chosen = None if names is None else set(spread_evenly(names, count))
     return source.frames(Selection(), lambda name: chosen is None or name in chosen)
@@ -332,9 +327,7 @@ def evenly_chosen(source: Source, count: int) -> Iterator[Frame]:
 def cut_to_visible(source: Source, max_angle_deg: float | None) -> None:
     """Let fields of view end where the images of a source are dark beyond, in up to three frames, and print so.
 
-    Args:
-        source: a recording; live cameras stay as they are.
-        max_angle_deg: of the calibration's keys; where it is given it counts.
+    Live cameras, and a rig whose ``max_angle_deg`` is given, stay as they are.
     """
     if max_angle_deg is not None or source.live:
         return

@@ -40,10 +40,7 @@ def typed(kind: type[T], config: Mapping[str, Any], prefix: str = "") -> T:
     A nested dataclass takes its keys from the table of its name or, where there is none, from the table around it:
     ``start=3`` becomes ``capture.start``.
 
-    Args:
-        kind: the dataclass or ``TypedDict``.
-        config: its keys; further ones are ignored.
-        prefix: of the keys in messages.
+    Further keys are ignored. In messages, keys begin with ``prefix``.
 
     Raises:
         ArgumentError: a value does not fit its type; the message names the key.
@@ -190,12 +187,9 @@ def expected(hint: Any) -> str:
 
 
 def check_node(config: Any, where: str, passed: Sequence[str] = ()) -> None:
-    """Check the keys of a node that names a ``_target_`` against the target's parameters.
+    """Check the keys of the node at key ``where`` against the parameters of its ``_target_``, if it has one.
 
-    Args:
-        config: the node.
-        where: its key, for messages.
-        passed: parameters that the caller adds.
+    The caller adds the parameters that are ``passed``.
 
     Raises:
         ArgumentError: a key that the target does not take, or a value that does not fit its type hint.

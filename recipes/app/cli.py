@@ -36,12 +36,7 @@ console = _Console(markup=False)  # brackets in names are no styles
 
 
 def build(config: Any, where: str = "", **kwargs: Any) -> Any:
-    """Instantiate a config node's ``_target_``; the only place where configs become objects.
-
-    Args:
-        config: the node.
-        where: its key, for messages.
-        **kwargs: further arguments of the target.
+    """Instantiate the ``_target_`` of the node at key ``where``; the only place where configs become objects.
 
     Raises:
         ArgumentError: the target does not take one of the keys, or refuses a value; the message names it.
@@ -71,9 +66,7 @@ def build(config: Any, where: str = "", **kwargs: Any) -> Any:
 def print_config(config: Any, folder: Path | None = None) -> None:
     """Print how a configuration differs from the defaults: the words of the command line.
 
-    Args:
-        config: the configuration, or a dataclass of keys.
-        folder: where the whole configuration is written, ``config.yaml``.
+    All of it, of a dataclass of keys as well, is written to ``config.yaml`` in the folder.
     """
     overrides = unquote_paths(list(HydraConfig.get().overrides.task)) if HydraConfig.initialized() else []
     say("Configuration, as it differs from the defaults:" if overrides else "Configuration: the defaults")

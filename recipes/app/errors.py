@@ -120,7 +120,7 @@ def _unknown_key(key: str, command: str, words: Sequence[str]) -> str:
         return "does not count with the options given; leave it out" + (
             f" (it is a key of {', '.join(owners)})." if owners else "."
         )
-    keys = [known for known in _keys_with(command, choices) if "._" not in known]
+    keys = [name for name in _keys_with(command, choices) if "._" not in name]
     similar = difflib.get_close_matches(key, keys, 3) or [
         other for other in keys if other.rpartition(".")[2] == key.rpartition(".")[2]
     ]
@@ -144,8 +144,10 @@ def several_processes(config: DictConfig) -> str | None:
     """Describe why a multirun cannot start trainings of several processes; None if each run is one process."""
     trainer = config.get("trainer") or {}
     devices, nodes, strategy = (trainer.get(key) for key in ("devices", "num_nodes", "strategy"))
+    # Lightning takes devices as a number, or as indices in a list or a text.
+    count = devices if isinstance(devices, int) else len(re.findall(r"\d+", str(devices)))
     for key, value, several in (
-        ("devices", devices, _num_devices(devices) > 1),
+        ("devices", devices, count > 1),
         ("num_nodes", nodes, nodes not in (None, 1)),
         ("strategy", strategy, "ddp" in str(strategy)),
     ):
@@ -155,11 +157,6 @@ def several_processes(config: DictConfig) -> str | None:
                 "each value, without --multirun"
             )
     return None
-
-
-def _num_devices(devices: Any) -> int:
-    """Return the number of devices, which Lightning takes as a number, or as indices in a list or a text."""
-    return devices if isinstance(devices, int) else len(re.findall(r"\d+", str(devices)))
 
 
 def _message(error: BaseException) -> str | None:

@@ -40,7 +40,11 @@ def print_help(config_name: str, overrides: list[str]) -> None:
             own = sources.text(f"{name}/{choice}").startswith("# @package _global_")
             comments = sources.comments(f"{name}/{choice}", package or ("" if own else name)) | comments
     print("\nKeys (KEY=VALUE):")
-    rows = [(f"{key}={value}", comments.get(key, "")) for key, value in _leaves(config)]
+    rows = [
+        (f"{key}={_written(value)}", comments.get(key, ""))
+        for key, value in walk(OmegaConf.to_container(config))
+        if not re.search(r"^hydra\b|(^|\.)_", key) and not (isinstance(value, dict) and value)
+    ]
     width = min(44, max(len(word) for word, _ in rows))
     for word, comment in rows:
         print(f"  {word:{width}}  # {comment}" if comment else f"  {word}")
@@ -91,25 +95,15 @@ def walk(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
             yield from walk(value, f"{prefix}{key}.")
 
 
-def _leaves(config: DictConfig) -> Iterator[tuple[str, str]]:
-    """Keys and values as they would be written on a command line; nothing is resolved."""
-    for key, value in walk(OmegaConf.to_container(config)):
-        if not re.search(r"^hydra\b|(^|\.)_", key) and not (isinstance(value, dict) and value):
-            yield key, _written(value)
-
-
 def _written(value: Any) -> str:
+    """A value as it would be written on a command line."""
     if isinstance(value, (list, dict)):
         return str(value).replace(" ", "").replace("'", "")
     return "null" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
 
 
 class _Sources:
-    """The YAML files behind a configuration, as text.
-
-    Args:
-        search_path: where configs are, in addition to those that Hydra knows from its start.
-    """
+    """The YAML files behind a configuration, as text; ``search_path`` adds to what Hydra knows from its start."""
 
     def __init__(self, search_path: Sequence[str]) -> None:
         loader: Any = GlobalHydra.instance().config_loader()

@@ -7,7 +7,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-from hydra.core.utils import JobReturn
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 
@@ -32,9 +31,6 @@ class MultirunTable(Callback):
         table.save(folder / "sweep", ".md")
         write_json(folder / "sweep.json", rows)
         print(f"\n{table.markdown()}\nTable of the sweep: {folder / 'sweep.md'}")
-
-    def on_job_end(self, config: DictConfig, job_return: JobReturn, **kwargs: Any) -> None:
-        """Nothing: each run has written its own table."""
 
 
 def multirun_rows(folder: Path) -> list[dict[str, Any]]:

@@ -38,8 +38,7 @@ def make_ring(
         >>> make_ring(3, radius=0.1)
         CameraRig(cam1, cam2, cam3: 3 x FisheyeCamera, radius 0.100 m)
     """
-    size = (int(image_size[0]), int(image_size[1]))
-    return ring_rig(num_cameras, radius, size, math.radians(field_of_view_deg), projection)
+    return ring_rig(num_cameras, radius, image_size, math.radians(field_of_view_deg), projection)
 
 
 def make_panorama_ring(
@@ -53,7 +52,7 @@ def make_panorama_ring(
         >>> make_panorama_ring(2, radius=0.1)
         CameraRig(cam1, cam2: 2 x EquirectangularCamera, radius 0.100 m)
     """
-    camera = EquirectangularCamera((int(image_size[0]), int(image_size[1])))
+    camera = EquirectangularCamera(image_size)
     return CameraRig([camera] * num_cameras, ring_rig(num_cameras, radius).world_from_camera)
 
 
@@ -83,8 +82,7 @@ def make_corner_rig(
         >>> rig.axes[0]  # looks to the right, down and forward
         tensor([0.5417, 0.6428, 0.5417])
     """
-    size = (int(image_size[0]), int(image_size[1]))
-    lens = FisheyeCamera.from_field_of_view(size, math.radians(field_of_view_deg))
+    lens = FisheyeCamera.from_field_of_view(image_size, math.radians(field_of_view_deg))
     corners = [(1, 1, 45.0), (1, -1, 135.0), (-1, -1, 225.0), (-1, 1, 315.0)]
     poses = [
         transform_from_axis_angle(

@@ -63,7 +63,9 @@ def run_command(command: Any, words: list[str]) -> None:
         return
     if line.config_dir is not None and not Path(line.config_dir).is_dir():
         refuse(f"--config-dir: {line.config_dir} is no folder (looked in {Path.cwd()})")
-    warnings.formatwarning = _plain_warning
+    warnings.formatwarning = lambda message, *_, **__: (
+        f"Warning: {message}\n"
+    )  # without a line of the program
     work = partial(do_work, command, line.config_dir and Path(line.config_dir).absolute())
     if line.cfg or line.info or line.shell_completion:
         Plugins.instance().register(ConfigFolders)
@@ -241,8 +243,3 @@ def conf_packages() -> tuple[str, ...]:
         else:
             packages.append(point.value)
     return tuple(packages)
-
-
-def _plain_warning(message: Any, *args: Any, **kwargs: Any) -> str:
-    """A warning as a sentence, without the line of the program that it came from."""
-    return f"Warning: {message}\n"

@@ -40,8 +40,8 @@ from sphericalvision.scenes.cache import decode, encode
 from sphericalvision.scenes.disturbances import RandomFaults
 from sphericalvision.scenes.world import HELD_OUT_SEED, NATURAL_MIN_DEPTH
 
-MOST_ROWS, RENDERED_ROWS = 512, 256
-"""Of images that are kept, finer than an icosphere of level 6; and of those that are rendered."""
+MAX_ROWS, RENDERED_ROWS = 512, 256
+"""Rows of images that are kept, finer than an icosphere of level 6; and of those that are rendered."""
 NUM_RENDERED = 100_000
 """Scenes that training draws from."""
 COLORLESS = 0.01
@@ -150,7 +150,7 @@ class CaptureDataModule(CaptureFields, PreparedSamples):
             raise ArgumentError(
                 "data: a network teaches what is in a capture; call bind_network(net) before setup"
             )
-        rig = _with_rows(self.source.rig, MOST_ROWS)
+        rig = _with_rows(self.source.rig, MAX_ROWS)
         reading = recorded_photographs(self.source, self.names)
         frames = track(reading, "reading frames", total=len(self.names), console=console)
         photographs = {name: _encoded(images, rig) for name, images in frames}
@@ -162,7 +162,12 @@ class CaptureDataModule(CaptureFields, PreparedSamples):
         for name in track(self.names, "asking network and sweep", console=console):
             images = _encoded(self.preparation.images(self.rig, _floats(photographs[name])), self.rig)
             self.labelled[name] = LabelledFrame(name, images, labeller(_floats(images)))
-        self.grey = float(all(_is_grey(images) for images in photographs.values()))
+        differences = [
+            ((image.amax(0) - image.amin(0)).float().mean() / 255).item()
+            for images in photographs.values()
+            for image in images.values()
+        ]
+        self.grey = float(max(differences) < COLORLESS)
 
     def _nearest(self, rig: CameraRig, photographs: dict[str, dict[str, Tensor]]) -> float:
         assert self.net is not None
@@ -291,15 +296,10 @@ def _floats(images: dict[str, Tensor]) -> dict[str, Tensor]:
     return {name: decode(image) for name, image in images.items()}
 
 
-def _is_grey(images: dict[str, Tensor]) -> bool:
-    spread = [(image.amax(0) - image.amin(0)).float().mean() / 255 for image in images.values()]
-    return max(spread).item() < COLORLESS
-
-
-def _with_rows(rig: CameraRig, most: int) -> CameraRig:
+def _with_rows(rig: CameraRig, rows: int) -> CameraRig:
     """The rig with images of at most so many rows."""
     sizes = {}
     for name, camera in rig.cameras.items():
         height, width = camera.image_size
-        sizes[name] = (min(height, most), round(width * min(1.0, most / height)))
+        sizes[name] = (min(height, rows), round(width * min(1.0, rows / height)))
     return rig.resized(sizes)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -63,14 +62,9 @@ def clue_shapes(hypotheses: int, coarse_level: int) -> dict[str, tuple[int, int]
 def clue_bytes(net: DepthNetwork, level: int) -> int:
     """Size of the clues of a sample with images of a level, as they are kept."""
     sizes = net.hyperparameters
-    shapes = clue_shapes(sizes["inner_hypotheses"], coarse_level_at(sizes, level))
+    coarse_level = level - 1 if sizes["coarse_level"] is None else min(sizes["coarse_level"], level - 1)
+    shapes = clue_shapes(sizes["inner_hypotheses"], coarse_level)
     return sum(2 * rows * columns for rows, columns in shapes.values())
-
-
-def coarse_level_at(sizes: Mapping[str, Any], level: int) -> int:
-    """Level of the clues of images of a level."""
-    coarse: int | None = sizes["coarse_level"]
-    return level - 1 if coarse is None else min(coarse, level - 1)
 
 
 class SamplesWithClues(Dataset[Sample]):
@@ -112,7 +106,7 @@ class SamplesWithClues(Dataset[Sample]):
         return {**sample, "clues": self.cache.get(sample["frame"], lambda: self._computed(sample))}
 
     def is_cached(self, index: int) -> bool:
-        """Whether sample and clues lie in the cache."""
+        """Tell whether sample and clues are in the cache."""
         return self.samples.is_cached(index) and self.cache.has(self.samples.name(index))
 
     @torch.inference_mode()

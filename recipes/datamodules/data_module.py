@@ -19,7 +19,7 @@ from sphericalvision.recipes.app.kinds import Count, Number
 
 ENDLESS = 2**40
 BATCHES_AHEAD = 3
-"""Of each process that prepares samples: one large batch among small ones is not waited for at once."""
+"""Batches that each process prepares ahead: one large batch among small ones is not waited for at once."""
 
 Sample = dict[str, Any]
 Loader: TypeAlias = "DataLoader[Sample] | list[DataLoader[Sample]]"
@@ -162,7 +162,7 @@ class SampleDataModule:
     of_training: ClassVar[tuple[str, ...]] = ("seed",)
     """Fields that the samples which ``sphericalvision-evaluate`` takes do not depend on."""
     has_truth: ClassVar[bool] = True
-    """Whether validation and test samples hold the true depth, so that ``sphericalvision-evaluate`` can use them."""
+    """True if validation and test samples hold the true depth, so that ``sphericalvision-evaluate`` can use them."""
 
     def dataset(self, split: str) -> Dataset[Sample]:
         """Samples of "train", "val" or "test", on the icosphere; augmented in "train". Every subclass implements it."""

@@ -74,7 +74,7 @@ class OmniStereoDataModule(DepthDataModule):
 
     def left_out(self) -> list[str]:
         """Sentences about frames that could not be read and were skipped."""
-        return [sentence for part in self.skipping if (sentence := part.left_out()) is not None]
+        return [sentence for samples in self.skipping if (sentence := samples.left_out()) is not None]
 
     def _read(self, split: str, stages: list[Callable[[Sample], Sample]], counts: bool) -> Dataset[Sample]:
         frames = self.read(split, *stages, ToView(self.view))
@@ -144,12 +144,12 @@ class SkipDamaged(Dataset[Sample]):
             f"The first: {self._reason(damaged[0])}"
         )
 
-    def _reason(self, place: int) -> str:
+    def _reason(self, index: int) -> str:
         try:
-            _ = self.dataset[place]
+            _ = self.dataset[index]
         except UNREADABLE as error:
             return str(error)
-        return f"sample {place}, which can be read now"
+        return f"sample {index}, which can be read now"
 
 
 def _without_truth(sample: Sample) -> Sample:

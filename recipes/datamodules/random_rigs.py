@@ -7,7 +7,7 @@ import math
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -48,12 +48,7 @@ class LevelSamples(TypedDict):
 
 
 class SamplesOfLevels(Dataset[Sample]):
-    """Samples on icospheres of several levels.
-
-    Args:
-        of_level: the samples of each level.
-        entries: level, and index among its samples, of each sample.
-    """
+    """Samples on icospheres of several levels: ``entries`` has the level of each, and the index among its samples."""
 
     def __init__(
         self, of_level: Mapping[int, WorldSamples | SamplesWithClues], entries: Sequence[tuple[int, int]]
@@ -68,7 +63,7 @@ class SamplesOfLevels(Dataset[Sample]):
         return self.of_level[level][number]
 
     def is_cached(self, index: int) -> bool:
-        """Whether what was made for a sample lies in the cache."""
+        """Tell whether what was made for a sample is in the cache."""
         level, number = self.entries[index]
         return self.of_level[level].is_cached(number)
 
@@ -264,20 +259,10 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
     @property
     def batch_sizes(self) -> int | Callable[[Any], int]:
         """Samples in a training batch: those of its level."""
-        if self.levels is None:
-            return self.batch_size
-        sizes = {level: part["batch_size"] for level, part in self.levels.items()}
-        return partial(_size_for, sizes)
+        levels = self.levels
+        return self.batch_size if levels is None else lambda group: levels[group[0]]["batch_size"]
 
 
 def _seeds_of(part: LevelSamples) -> range:
     first, number = part["seeds"]
     return range(first, first + number)
-
-
-# A function of the module, as processes of a loader take it along: with a method they would take the trainer, too.
-
-
-def _size_for(sizes: Mapping[int, int], group: tuple[int, int, bool]) -> int:
-    """Samples in a batch of a group."""
-    return sizes[group[0]]

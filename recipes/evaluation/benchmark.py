@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import torch
 from annotated_types import MinLen
@@ -169,7 +170,10 @@ def _measure(
     records = run_track(frames, _methods(words, frames.size.level, folder), folder, max_depth)
     page = folder / "pages" / f"{frames.track.name}.png"
     key = {name: record.key for name, record in records.items()} | {"rows": rows, "frames": frames.drawn}
-    if not (page.is_file() and _key_of(page) == key):
+    stored: Any = None
+    with suppress(OSError, FileFormatError):
+        stored = read_json(page.with_suffix(".json"))
+    if stored != key or not page.is_file():
         write_image(page, frames_sheet({name: _drawn(frames, name, records, rows) for name in frames.drawn}))
         write_json(page.with_suffix(".json"), key)
     return records
@@ -187,13 +191,6 @@ def _drawn(frames: TrackFrames, name: str, records: Mapping[str, Record], rows: 
         {method: record.drawn[name] for method, record in records.items()},
         SCALE,
     )
-
-
-def _key_of(page: Path) -> object:
-    try:
-        return read_json(page.with_suffix(".json"))
-    except (OSError, FileFormatError):
-        return None
 
 
 @lru_cache(maxsize=1)

@@ -156,10 +156,10 @@ class Measure(Protocol):
     directions: Tensor
     """``(V, 3)`` in which estimates that are drawn are kept."""
     scale: Scale
-    """In whose hypotheses."""
+    """The hypotheses of these estimates."""
     key: Mapping[str, Any]
-    """What else errors depend on. Its ``generation`` is raised whenever errors of the same frames and methods come out
-    otherwise, so that old records are not taken."""
+    """Everything else that errors depend on. Its ``generation`` is raised whenever errors of the same frames and
+    methods come out otherwise, so that old records are not taken."""
 
     def truth(self, batch: Batch) -> Any:
         """The truth of a batch, the same for all methods."""
@@ -169,7 +169,7 @@ class Measure(Protocol):
 
 
 def errors_of_frame(errors: Mapping[str, Any], frame: int) -> Errors:
-    """One frame of what a ``Measure`` says, as numbers; None in place of NaN.
+    """Numbers of one frame from the tensors of a ``Measure``; None in place of NaN.
 
     Examples:
         >>> errors_of_frame({"all": {"MAE": torch.tensor([1.0, torch.nan])}}, 1)
@@ -238,17 +238,12 @@ def errors_in_metres(
         names: of the frames, those of rendered scenes beginning with their kind.
         max_depth: the limit.
     """
-    frames = [
-        depth_error(depth[i, None], target[i, None], mask[i, None], max_depth=_limit_of(name, max_depth))
-        for i, name in enumerate(names)
-    ]
+    frames = []
+    for i, name in enumerate(names):
+        usual = 10.0 if name.partition("-")[0] in INDOORS else 80.0
+        limit = usual if max_depth == "auto" else max_depth
+        frames.append(depth_error(depth[i, None], target[i, None], mask[i, None], max_depth=limit))
     return {key: torch.cat([errors[key] for errors in frames]) for key in ("AbsRel", "d<1.25")}
-
-
-def _limit_of(name: str, max_depth: Limit) -> float:
-    if max_depth != "auto":
-        return max_depth
-    return 10.0 if name.partition("-")[0] in INDOORS else 80.0
 
 
 def limit_text(max_depth: Limit) -> str:
@@ -264,7 +259,7 @@ def limit_text(max_depth: Limit) -> str:
 
 
 def mean_errors_by_method(records: Mapping[str, Record]) -> dict[str, dict[str, float]]:
-    """Mean errors of ``VertexErrors``; "kept" says how many percent of the points some method keeps, if not all do."""
+    """Mean errors of ``VertexErrors``; "kept" is the percentage of points that a method keeps, if some keep not all."""
     means = {name: record.means for name, record in records.items()}
     partial = any(
         mean["points"]["kept"] is not None and mean["points"]["kept"] < 100 for mean in means.values()

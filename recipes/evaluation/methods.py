@@ -64,7 +64,7 @@ UNTRAINED: dict[str, Callable[[int, int, float], DepthNetwork]] = {
 """Methods without training."""
 
 TRAINING_SCENES = 70
-"""Of seeds 0 and up, every kind in turn: what the constant map is the median of."""
+"""Scenes that the constant map is the median of: seeds 0 and up, every kind in turn."""
 
 
 class Method:
@@ -142,14 +142,11 @@ class Method:
 
 
 class AsUsed(Method):
-    """The same by way of a ``Predictor``: from the images of the cameras, as in use.
+    """A ``Method`` by way of a ``Predictor``: from the images of the cameras, as in use.
 
     Args:
-        name: as of ``Method``.
         net: errors are in its hypotheses, whichever the predictor takes.
-        min_confidence: as of ``Method``.
         min_depth: nearest hypothesis in metres; ``"auto"`` and ``"scene"`` as of ``Predictor``, of each frame.
-        preparation: of each frame.
         masked: gives a rig masks, before it is used.
     """
 

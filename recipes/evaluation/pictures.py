@@ -24,8 +24,8 @@ Picture = npt.NDArray[np.uint8]
 WORST = 10.0
 """Error in percent of N at the end of the scale of colours."""
 
-SHOWN = 0.35
-"""How much colour is left of what does not count."""
+FADED = 0.35
+"""Fraction of the colour of what does not count."""
 
 
 class DrawnFrame(NamedTuple):
@@ -48,7 +48,7 @@ class DrawnFrame(NamedTuple):
     scale: Scale
 
     def pictures(self) -> dict[str, Picture]:
-        """By their titles: what there is to see, the truth, and of every method the depth and the error.
+        """Pictures by their titles: what there is to see, the truth, and of every method the depth and the error.
 
         Depths have the mean absolute error in percent of N in their titles. Errors are from 0 (dark) to ``WORST``
         percent of N (bright).
@@ -75,7 +75,7 @@ class DrawnFrame(NamedTuple):
 
     def _faded(self, picture: Picture) -> Picture:
         counts = icosphere_to_panorama(self.counts.float(), len(self.view))
-        return fade(picture, SHOWN + (1 - SHOWN) * counts)
+        return fade(picture, FADED + (1 - FADED) * counts)
 
 
 def camera_picture(image: Tensor, rows: int) -> Picture:

@@ -24,18 +24,14 @@ REGIONS = ("all", "edge", "thin", "flat", "bare", "sky", "lone", "shared")
 """``all``: points that two cameras see; ``lone``: that fewer see; ``shared``: that two see at every tilt."""
 
 KEPT = (1.0, 0.95, 0.9, 0.8, 0.7, 0.5)
-"""Shares of the surest points."""
+"""Fractions of the points, the surest first."""
 
 LEAST_CONTRAST = 0.01
 """Standard deviation of the brightness, of the range [0, 1], below which a surface is bare."""
 
 
 class FrameTruth:
-    """Truth of a frame and where it counts, the same for all methods.
-
-    Args:
-        frame: as rendered.
-    """
+    """Truth of a rendered frame and where it counts, the same for all methods."""
 
     def __init__(self, frame: TrackFrame) -> None:
         self.name, self.fine = frame.name, Icosphere(level_from_num_vertices(frame.inverse_depth.shape[-1]))
@@ -75,7 +71,7 @@ class PlaceErrors:
     * ``coarse``, ``fine``: at level 4 and 6 (two below the truth's, and its), by region, percent of N = 16;
     * ``panorama``: the same, every pixel with its solid angle;
     * ``metres``: of ``errors_in_metres``, at the coarse vertices;
-    * ``kept``: MAE of the surest points, by share of them; empty for a method that is equally sure of all;
+    * ``kept``: MAE of the surest points, by their fraction; empty for a method that is equally sure of all;
     * ``points``: percent of the fine vertices that each region has.
 
     Args:
@@ -136,4 +132,4 @@ def _errors_of_surest(index: Tensor, confidence: Tensor, truth: Tensor, mask: Te
         return {}
     error = (index - truth).abs() * (100 / SCALE.num_hypotheses)
     means = error_of_surest(error, confidence, KEPT, mask)
-    return {f"{share:g}": means[:, column] for column, share in enumerate(KEPT)}
+    return {f"{fraction:g}": means[:, column] for column, fraction in enumerate(KEPT)}

@@ -62,7 +62,7 @@ class Record:
             self.drawn = {}
 
     def has(self, name: str, drawn: bool = False) -> bool:
-        """Whether a frame was measured, and its estimate is there if it is to be ``drawn``."""
+        """Tell whether a frame was measured, and its estimate is there if it is to be ``drawn``."""
         return name in self.frames and (not drawn or name in self.drawn)
 
     def add(self, name: str, errors: Errors, drawn: Tensor | None = None) -> None:

@@ -30,11 +30,11 @@ class StripErrors(VertexErrors):
     """Errors at the vertices, and those of Helvipad along the rays of its bottom camera, the first of the rig."""
 
     def truth(self, batch: Batch) -> Any:
-        """As of ``VertexErrors``, and the batch with the maps of depth."""
+        """Truth of ``VertexErrors``, and the batch with the maps of depth."""
         return super().truth(batch), batch
 
     def errors(self, answer: Answer, truth: Any) -> dict[str, Any]:
-        """``errors`` and ``points`` as of ``VertexErrors``; ``depth`` in metres and ``disparity`` in degrees."""
+        """Errors of ``VertexErrors``; ``depth`` in metres and ``disparity`` in degrees."""
         at_vertices, batch = truth
         errors = super().errors(answer, at_vertices)
         rig, depth, augmented = (batch[key] for key in ("rig", "strip_depth", "strip_depth_augmented"))
@@ -49,8 +49,8 @@ class StripErrors(VertexErrors):
             ).to(depth)
         pairs = {"depth": (estimate, depth)}
         pairs["disparity"] = tuple(disparity_from_depth(v, grid.directions) for v in pairs["depth"])  # type: ignore[assignment]
-        for name, (ours, right) in pairs.items():
-            errors[name] = stereo_error(ours.flatten(1), right.flatten(1), (depth > 0).flatten(1))
+        for name, (estimated, true) in pairs.items():
+            errors[name] = stereo_error(estimated.flatten(1), true.flatten(1), (depth > 0).flatten(1))
         errors["depth"] |= left_right_error(estimate, augmented)
         return errors
 
@@ -67,9 +67,8 @@ def depth_off_center(answer: Answer, frame: int, rays: Tensor, offset: Tensor, s
     """
     alone = Answer(answer.net, type(answer.estimate)(*(v[frame : frame + 1] for v in answer.estimate)))
     along, towards, depth = rays @ offset, rays, rays.new_zeros(len(rays))
-    for _ in range(
-        STEPS
-    ):  # the estimate where the ray is, and where the ray is at that distance from the centre
+    for _ in range(STEPS):
+        # The estimate where the ray is, and where the ray is at that distance from the centre.
         index = alone.index_at(towards, scale)[0][0]
         distance = 1 / inverse_depth_from_index(index, *scale).clamp(min=1 / MOST)
         depth = (along.square() - offset.square().sum() + distance.square()).clamp(min=0).sqrt() - along

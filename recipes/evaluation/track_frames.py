@@ -30,12 +30,12 @@ from sphericalvision.scenes.world import NATURAL_MIN_DEPTH, World, WorldFrame, r
 from sphericalvision.sphere import Equirectangular
 
 DRAWN = (0, 3, 4)
-"""Places among the frames of those that are drawn; where kinds of scenes take turns a corridor, outdoors and a room."""
+"""Indices of the frames that are drawn; where kinds of scenes take turns a corridor, outdoors and a room."""
 
 
 @dataclass(frozen=True, config=STRICT)
 class Size:
-    """How frames are made; ``conf/benchmark.yaml`` explains its keys.
+    """Resolution of frames, and their preparation; ``conf/benchmark.yaml`` explains its keys.
 
     By its preparation images and rig are made ready for all methods alike, as ``sphericalvision-predict`` does; cameras
     are turned by the depth of the network that ships.
@@ -118,20 +118,13 @@ def render_frame(track: Track, number: int, size: Size, cache: Path | None = Non
 
 
 class TrackFrames:
-    """Frames of a track, each rendered when it is asked for.
-
-    Args:
-        track: which.
-        numbers: of the frames.
-        size: how fine.
-        cache: folder of renderings.
-    """
+    """Frames of a track by their numbers, each rendered when it is asked for; see ``render_frame``."""
 
     def __init__(self, track: Track, numbers: range, size: Size, cache: Path | None) -> None:
         self.track, self.name, self.size, self.cache = track, track.name, size, cache
         self.numbers = {track.frame_name(number): number for number in numbers}
         self.names = list(self.numbers)
-        self.drawn = [self.names[place] for place in DRAWN if place < len(self.names)]
+        self.drawn = [self.names[index] for index in DRAWN if index < len(self.names)]
 
     @property
     def key(self) -> dict[str, Any]:

@@ -20,7 +20,7 @@ RESULT = "adapted.safetensors"
 
 
 class AdaptModule(DepthModule):
-    """As ``DepthModule``, for captures: validated is the photo-consistency of frames that were held out.
+    """``DepthModule`` for captures: validated is the photo-consistency of frames that were held out.
 
     All weights learn, those of the prior of a ``RefinedSweepNet``, too.
 
@@ -53,14 +53,7 @@ class AdaptModule(DepthModule):
     def write_report(
         self, data: Any, values: dict[str, float], init_weights: str | None, folder: Path
     ) -> None:
-        """Compare with the start, and write the weights to use.
-
-        Args:
-            data: the capture.
-            values: of the best checkpoint, which the network holds.
-            init_weights: what training started from.
-            folder: of the run.
-        """
+        """Compare the best checkpoint with the start, and write the weights to use."""
         assert isinstance(data, CaptureDataModule)
         before, after = data.start_share, values["photo-consistency"]
         path = folder / RESULT

@@ -54,8 +54,7 @@ class DepthPanels(Callback):
         """Draw the first batch."""
         if batch_idx or dataloader_idx or trainer.sanity_checking or not trainer.is_global_zero:
             return
-        n = self.num_frames
-        if not n:
+        if not (n := self.num_frames):
             return
         target, valid = pl_module.target(batch)
         panel = self.panel(pl_module, outputs[:n], target[:n], valid[:n])
@@ -87,9 +86,6 @@ class MovingAverage(WeightAveraging):
 
     It lies where training runs, and a step of it is one operator for all weights, which nothing is read back for.
     Lightning's ``EMAWeightAveraging`` sends all weights to the host at each step, where a trainer first has them.
-
-    Args:
-        decay: of the average, at every step.
     """
 
     def __init__(self, decay: Share = 0.999) -> None:

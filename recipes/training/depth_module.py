@@ -37,12 +37,8 @@ class DepthModule(TrainingModule):
     Args:
         net: the network; what it takes of a sample follows from ``net.images`` and ``net.grid``.
         loss: of index, true index and where that is known, all ``(B, *grid)``.
-        optimizer: makes the optimiser of parameters.
-        scheduler: makes the schedule of an optimiser.
-        monitor: the validated value that chooses the best checkpoint.
-        mode: "min" or "max", its best direction.
+        optimizer: as of ``TrainingModule``, like scheduler, monitor, mode and seed.
         recompute: train in less memory for a third more work; the results are the same.
-        seed: of each training step, with its number.
         learns: what the names of the weights that learn begin with; all learn when not given.
         hints: share of the samples that a network which takes hints sees with one that is simulated from the truth.
         compile: backend by which ``torch.compile`` makes one program of the loss, which takes minutes for each new
@@ -55,7 +51,7 @@ class DepthModule(TrainingModule):
     metric_names = METRICS
     unit = "percent of N"
     learns_all = False
-    """Whether weights that a network keeps as they are learn, too."""
+    """True if weights that a network keeps as they are learn, too."""
 
     def __init__(
         self,

@@ -40,9 +40,9 @@ class TrainingModule(pl.LightningModule):
     """
 
     metric_names: tuple[str, ...]
-    """Of the values in the final table."""
+    """Names of the values in the final table."""
     unit: str
-    """Of these values."""
+    """Unit of these values."""
 
     def __init__(
         self,

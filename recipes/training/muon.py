@@ -16,11 +16,11 @@ from torch.optim import AdamW, Optimizer
 from sphericalvision.core import ArgumentError
 
 COEFFICIENTS = (3.4445, -4.7750, 2.0315)
-"""Of a polynomial x (a + b x² + c x⁴) that takes small x away from 0 fast, and leaves it within 0.7 and 1.2."""
+"""Of the polynomial x (a + b x² + c x⁴), which takes small x away from 0 fast, and leaves it within 0.7 and 1.2."""
 ITERATIONS = 5
-"""Of the polynomial; they take all from a few thousandths on there."""
+"""Applications of the polynomial; they take all from a few thousandths on there."""
 SIZE = 5.0
-"""Of a step of a matrix in learning rates, as its largest singular value: one learning rate suits AdamW's part, too."""
+"""Largest singular value of a matrix' step, in learning rates: one learning rate suits AdamW's part, too."""
 
 
 def orthogonalized(matrices: Float[Tensor, "B n m"]) -> Float[Tensor, "B n m"]:

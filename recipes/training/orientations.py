@@ -27,10 +27,6 @@ class OrientationModule(TrainingModule):
         net: the network; ``net.num_classes`` classes.
         loss: of logits and labels.
         optimizer: as of ``TrainingModule``, like the rest.
-        scheduler: so is this.
-        monitor: the validated value that chooses the best checkpoint.
-        mode: "min" or "max", its best direction.
-        seed: of each training step, with its number.
     """
 
     def __init__(

@@ -15,9 +15,9 @@ from sphericalvision.core import ArgumentError
 from sphericalvision.models import DepthNetwork
 
 BYTES = 1 << 30
-"""How much the tables kept may weigh together; at least one is kept."""
+"""Bytes of all tables together, at most; one table is kept in any case."""
 FIRST_BATCHES = 50
-"""In which constants are still being made on a device, which a second stream must not read too early."""
+"""Batches in which constants are still being made on a device, which a second stream must not read too early."""
 
 
 class RigTables:

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from functools import lru_cache
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import pytorch_lightning as pl
 from omegaconf import DictConfig, OmegaConf
@@ -44,7 +44,7 @@ LOCK = ".lock"
 
 
 def is_first_process() -> bool:
-    """Whether this is the process of rank 0, by the variables that those who start several set."""
+    """Tell whether this is the process of rank 0, by the variables that those who start several set."""
     return getattr(rank_zero_only, "rank", 0) == 0
 
 
@@ -63,19 +63,16 @@ def run_folder(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
+            file.seek(0)
+            holder = file.read(200) or "unknown process"
             raise ArgumentError(
-                f"output: another training is at work in {folder} ({_holder(file)}); wait for its end, or choose "
-                "another output=..."
+                f"output: another training is at work in {folder} ({holder}); wait for its end, or choose another "
+                "output=..."
             ) from None
         file.truncate(0)
         file.write(f"process {os.getpid()} on {socket.gethostname()}")
         file.flush()
         yield
-
-
-def _holder(file: IO[str]) -> str:
-    file.seek(0)
-    return file.read(200) or "unknown process"
 
 
 NO_SETTINGS = (
@@ -86,7 +83,7 @@ NO_SETTINGS = (
 """Keys that a training's result does not depend on: files, the machine, and reports."""
 
 STATE = ("state_dict", "optimizer_states", "lr_schedulers", "loops", "global_step")
-"""What a training needs to go on; weights alone are for ``init_weights``."""
+"""Keys of a checkpoint that a training needs to go on; weights alone are for ``init_weights``."""
 
 
 def resume_path(resume: str | None, folder: Path) -> Path | None:
@@ -189,11 +186,7 @@ def best_checkpoint(trainer: pl.Trainer, module: TrainingModule, loaders: Loader
     Where the number of steps is no multiple of ``trainer.val_check_interval``, the last state has not been validated
     yet. It is now, and takes the place of the best one if it is better.
 
-    Args:
-        trainer: after ``fit``.
-        module: what was trained.
-        loaders: with the validation samples.
-        last: the checkpoint of the last state.
+    ``last`` is the checkpoint of the last state.
     """
     keeper = trainer.checkpoint_callback
     if not isinstance(keeper, ModelCheckpoint) or not keeper.best_model_path:
@@ -242,7 +235,7 @@ class WeightsBesideCheckpoint(TorchCheckpointIO):
         net = self.net
         if (
             "current_model_state" in checkpoint
-        ):  # of averaged weights, which are what was validated; the net has others
+        ):  # of averaged weights, which were validated; the net has others
             net = copy.deepcopy(net)
             state = checkpoint["state_dict"].items()
             net.load_state_dict({name[4:]: value for name, value in state if name.startswith("net.")})

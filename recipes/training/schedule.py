@@ -11,15 +11,15 @@ from torch.optim.lr_scheduler import ChainedScheduler, LRScheduler
 
 from sphericalvision.core import ArgumentError
 
-Part = Callable[[Optimizer], LRScheduler]
+Schedule = Callable[[Optimizer], LRScheduler]
 """One of torch's schedulers that waits for its optimiser, as ``_partial_: true`` makes it."""
 
 PROGRESS = ("last_epoch", "_step_count", "_last_lr", "base_lrs", "_schedulers", "_is_initial")
-"""What a stored scheduler knows of how far it is; the rest are settings, which the configuration has."""
+"""Keys of a stored scheduler that say how far it is; the rest are settings, which the configuration has."""
 
 
-def chained(optimizer: Optimizer, **parts: Part) -> ChainedScheduler:
-    """``torch.optim.lr_scheduler.ChainedScheduler`` of named parts: at each iteration all of them act.
+def chained(optimizer: Optimizer, **schedules: Schedule) -> ChainedScheduler:
+    """``torch.optim.lr_scheduler.ChainedScheduler`` of named schedules: at each iteration all of them act.
 
     Examples:
         >>> import torch
@@ -29,11 +29,11 @@ def chained(optimizer: Optimizer, **parts: Part) -> ChainedScheduler:
         >>> chained(optimizer, warmup=warmup).get_last_lr()
         [0.5]
     """
-    if not parts:
+    if not schedules:
         raise ArgumentError(
             "scheduler: expected named parts, each a scheduler with _partial_: true, got none"
         )
-    return ChainedScheduler([part(optimizer) for part in parts.values()], optimizer)
+    return ChainedScheduler([schedule(optimizer) for schedule in schedules.values()], optimizer)
 
 
 def progress_only(state: dict[str, Any]) -> dict[str, Any]:
@@ -43,5 +43,5 @@ def progress_only(state: dict[str, Any]) -> dict[str, Any]:
     """
     progress = {key: value for key, value in state.items() if key in PROGRESS}
     if "_schedulers" in progress:
-        progress["_schedulers"] = [progress_only(part) for part in progress["_schedulers"]]
+        progress["_schedulers"] = [progress_only(state) for state in progress["_schedulers"]]
     return progress

@@ -58,8 +58,8 @@ SECTORS = ("right", "lower right", "down", "lower left", "left", "upper left", "
 """Parts of an image in the report: rings about the axis, and directions from it."""
 TOO_FAR = 1.0
 """Pixels of RMS from which on something else is wrong than noise."""
-MOST_PICTURES = 5
-"""That are listed, those with the largest errors."""
+MAX_PICTURES = 5
+"""Pictures that are listed, those with the largest errors."""
 
 
 class Moment(NamedTuple):
@@ -156,19 +156,19 @@ def board_of(config: CalibrateConfig) -> Board:
 def _files(pattern: str) -> dict[str, dict[str, Path]]:
     """Moment -> camera -> file, for a pattern with ``*``, ``?`` or ``{frame}`` and, of a rig, ``{camera}``."""
     wild, expression = "", ""
-    for part in re.split(r"(\{frame[^}]*\}|\{camera\}|\*\*/|[*?])", str(Path(pattern))):
-        if part == "{camera}":
+    for token in re.split(r"(\{frame[^}]*\}|\{camera\}|\*\*/|[*?])", str(Path(pattern))):
+        if token == "{camera}":
             wild += "*"
             expression += "(?P=camera)" if "<camera>" in expression else "(?P<camera>[^/]+)"
-        elif part in ("**/", "?"):
-            wild += part
-            expression += "(.*)" if part == "**/" else "([^/])"
-        elif part == "*" or part.startswith("{frame"):
+        elif token in ("**/", "?"):
+            wild += token
+            expression += "(.*)" if token == "**/" else "([^/])"
+        elif token == "*" or token.startswith("{frame"):
             wild += "*"
             expression += "([^/]*)"
         else:
-            wild += glob.escape(part)
-            expression += re.escape(part)
+            wild += glob.escape(token)
+            expression += re.escape(token)
     files: dict[str, dict[str, Path]] = {}
     for path in sorted(glob.glob(wild, recursive=True), key=by_numbers):
         if (match := re.fullmatch(expression, path)) is None:
@@ -186,12 +186,9 @@ def _files(pattern: str) -> dict[str, dict[str, Path]]:
 
 
 def _moments(files: Mapping[str, Mapping[str, Path]], views: list[str], num_frames: int) -> Iterator[Moment]:
-    """The pictures, and some frames of videos.
+    """The pictures of ``files``, moment -> camera -> picture or video, and ``num_frames`` of each video.
 
-    Args:
-        files: moment -> camera -> picture or video.
-        views: names of cameras whose views each of them holds; empty where it holds those of one.
-        num_frames: of a video.
+    ``views`` are names of cameras whose views each of them holds; empty where it holds those of one.
     """
     for cameras in files.values():
         if all(path.suffix.lower() in VIDEO_SUFFIXES for path in cameras.values()):
@@ -273,7 +270,7 @@ def _report(result: RefinedRig, pictures: Pictures) -> None:
     rows.sort(key=lambda row: -float(row[1]))
     count = sum(map(len, pictures.labels))
     print_table(
-        f"boards on {len(rows)} of {count} pictures; the worst", ["picture", "RMS (px)"], rows[:MOST_PICTURES]
+        f"boards on {len(rows)} of {count} pictures; the worst", ["picture", "RMS (px)"], rows[:MAX_PICTURES]
     )
     for index, (name, camera) in enumerate(result.rig.cameras.items()):
         rms = float((squares[:, index].sum() / used[:, index].sum()).sqrt())
@@ -302,7 +299,7 @@ def _report(result: RefinedRig, pictures: Pictures) -> None:
         if int(pictures.seen[number, index].sum()) >= FEWEST and not bool(used[number, index].any())
     ]
     if astray:
-        some = ", ".join(astray[:MOST_PICTURES]) + (" ..." if len(astray) > MOST_PICTURES else "")
+        some = ", ".join(astray[:MAX_PICTURES]) + (" ..." if len(astray) > MAX_PICTURES else "")
         print(
             f"Warning: {some} left out: the board stands elsewhere than in the others' pictures of the moment"
         )

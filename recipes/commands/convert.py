@@ -97,12 +97,11 @@ def convert(config: ConvertConfig) -> dict[str, Conversion]:
 def _compare(
     config: ConvertConfig, names: list[str], rig: CameraRig | None, cameras: Mapping[str, Camera]
 ) -> None:
-    """Print how far the cameras of two calibrations lie apart, by the angle from the axis, and their poses.
+    """Print how far the cameras of two calibrations are apart, by the angle from the axis, and their poses.
 
     Args:
-        config: with both.
-        names: of all cameras of the first.
-        rig: of the first.
+        names: of all cameras of the first calibration.
+        rig: of the first calibration.
         cameras: those that are compared.
     """
     assert config.with_ is not None
@@ -138,9 +137,11 @@ def _compare(
 
 def _compare_poses(rig: CameraRig, other: CameraRig) -> None:
     """Print by how much cameras stand and look elsewhere, as seen from the first one."""
-    seen = [invert_transform(one.world_from_camera[0]) @ one.world_from_camera for one in (rig, other)]
-    angles = axis_angle_from_transform(invert_transform(seen[0]) @ seen[1])[0].norm(dim=-1).rad2deg()
-    moved = (seen[0][:, :3, 3] - seen[1][:, :3, 3]).norm(dim=-1) * 1000
+    first, second = (
+        invert_transform(each.world_from_camera[0]) @ each.world_from_camera for each in (rig, other)
+    )
+    angles = axis_angle_from_transform(invert_transform(first) @ second)[0].norm(dim=-1).rad2deg()
+    moved = (first[:, :3, 3] - second[:, :3, 3]).norm(dim=-1) * 1000
     rows = [
         [n, f"{a:.3f}", f"{m:.2f}"]
         for n, a, m in zip(rig.names, angles.tolist(), moved.tolist(), strict=True)

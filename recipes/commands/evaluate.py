@@ -150,10 +150,7 @@ def evaluate_checkpoint(config: Annotated[DictConfig, EvaluateKeys], folder: Pat
 def _data_of(config: DictConfig, net: DepthNetwork, as_used: bool) -> SampleDataModule:
     """The data that ``config`` names, with the entries that the network and methods to compare take.
 
-    Args:
-        config: with the level of the images.
-        net: that is evaluated.
-        as_used: whether camera images are needed, too.
+    ``as_used`` says whether camera images are needed, too.
 
     Raises:
         ArgumentError: a key of the data counts only in training, or samples hold no camera images.

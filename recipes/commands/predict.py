@@ -87,10 +87,10 @@ class PredictConfig:
     device: Device
 
 
-MOST_PATHS = 30
-"""Of files that are named at the end."""
+MAX_PATHS = 30
+"""Files that are named at the end."""
 LAST: Literal["last"] = "last"
-"""As a hint: the depth of the frame before."""
+"""Hint in place of a pattern: the depth of the frame before."""
 SETTINGS, ALIGNED = "config.yaml", "aligned.yaml"
 """Files next to the results: the settings of the run, and the calibration with cameras turned."""
 BASIS = "made_from"
@@ -285,16 +285,10 @@ def floor_turn(predictor: Predictor, source: Source) -> Tensor:
 def aligned_rig(
     predictor: Predictor, source: Source, folder: Path, goes_on: bool, placement: Tensor
 ) -> CameraRig | None:
-    """The rig with cameras turned where three frames show it; None if it stays as it is.
+    """The rig of ``source`` with cameras turned where three frames show it; None if it stays as it is.
 
-    The calibration with these cameras turned goes to ``aligned.yaml``, which a continuation takes.
-
-    Args:
-        predictor: of the frames.
-        source: of the frames of the calibrated rig.
-        folder: of the results.
-        goes_on: whether a run is continued.
-        placement: ``(4, 4)``, from the frame of the calibration to that of the rig.
+    The calibration with these cameras turned goes to ``aligned.yaml``, which a continuation (``goes_on``) takes;
+    ``placement`` ``(4, 4)`` is from its frame to that of the rig.
     """
     path = folder / ALIGNED
     if not goes_on:
@@ -353,7 +347,7 @@ def hints_of(
 
 
 def output_settings(config: PredictConfig, source: Source) -> Settings:
-    """How the results of a configuration are written; without ``outputs`` a video of streams, else files of frames."""
+    """Settings of the results; without ``outputs`` a video of streams, else files of frames."""
     return Settings(
         config.outputs or (("depth", "cloud", "npz") if source.rate == 0 else ("video",)),
         config.height,
@@ -387,10 +381,6 @@ def run(
     """Write the depth of frame after frame, while the next ones are estimated; returns the errors.
 
     Args:
-        source: of the frames.
-        selection: which of them.
-        predictor: of their depth.
-        outputs: where depth goes.
         remaining: names of the frames to be done; None for all of them.
         stop_on_error: whether to raise the error of a frame that cannot be read.
         hints: of ``estimate_frames``.
@@ -448,9 +438,9 @@ def run(
 
 def report(written: list[Path], outputs: Outputs) -> None:
     """Print the files, and the results of all frames together."""
-    for path in written[:MOST_PATHS]:
+    for path in written[:MAX_PATHS]:
         print(path)
-    if len(written) > MOST_PATHS:
+    if len(written) > MAX_PATHS:
         print(f"... {len(written)} files in {outputs.results.path}")
     for sentence in outputs.described():
         print(sentence)

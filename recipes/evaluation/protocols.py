@@ -26,10 +26,8 @@ class Truth(NamedTuple):
     Attributes:
         indices: ``(B, V)`` in the hypotheses of the study, not rounded.
         inverse_depth: ``(B, V)`` 1/m.
-        valid: ``(B, V)`` there is a truth.
-        counts: ``(B, V)`` and two or more cameras see the point.
-        cameras: ``(B, V)`` number of cameras that see the point.
-        left_out: ``(B,)`` share of the valid points that fewer than two see, 0 to 1.
+        regions: by the protocols of ``Protocols.errors``, ``(B, V)`` where they count; "all" is where there is a truth.
+        left_out: ``(B,)`` fraction of the valid points that fewer than two cameras see, 0 to 1.
         panorama: ``(B, h, w)`` inverse depth, 1/m.
         panorama_counts: ``(B, h, w)`` there is a truth that two or more cameras see.
         panorama_directions: ``(h * w, 3)``.
@@ -37,9 +35,7 @@ class Truth(NamedTuple):
 
     indices: Tensor
     inverse_depth: Tensor
-    valid: Tensor
-    counts: Tensor
-    cameras: Tensor
+    regions: dict[str, Tensor]
     left_out: Tensor
     panorama: Tensor
     panorama_counts: Tensor
@@ -59,9 +55,11 @@ class Protocols:
         grid = Icosphere(level, device=device)
         self.key = {"generation": 3}
         self.scale, self.directions, self.solid_angles = scale, grid.vertices, grid.solid_angles
-        self.seam = seam_mask(grid.vertices)
+        seam = seam_mask(grid.vertices)
         height = -grid.vertices[:, 1]  # sine of the latitude; up is -y
         self.zones = {
+            "seam": seam,
+            "off_seam": ~seam,
             "above": height > math.sin(ZONE),
             "around": height.abs() <= math.sin(ZONE),
             "below": height < -math.sin(ZONE),
@@ -73,12 +71,16 @@ class Protocols:
         index = index_from_inverse_depth(inverse_depth, *self.scale)
         counts, left_out = evaluation_mask(batch["rig"], self.directions, inverse_depth, valid)
         cameras = seen_by(batch["rig"], self.directions, inverse_depth.where(valid, 0.0))
+        regions = {"paper": counts, "all": valid}
+        regions |= {name: counts & zone for name, zone in self.zones.items()}
+        regions |= {"two": counts & (cameras == 2), "three": counts & (cameras == 3)}
+        regions["four"] = counts & (cameras > 3)
         panorama, panorama_valid = batch["panorama_inverse_depth"], batch["panorama_valid"]
         around = Equirectangular.with_square_pixels(*panorama.shape[1:]).directions
         around = around.reshape(-1, 3).to(self.directions)
         seen, _ = evaluation_mask(batch["rig"], around, panorama.flatten(1), panorama_valid.flatten(1))
         shared = seen.view(panorama.shape)
-        return Truth(index, inverse_depth, valid, counts, cameras, left_out, panorama, shared, around)
+        return Truth(index, inverse_depth, regions, left_out, panorama, shared, around)
 
     def errors(self, answer: Answer, truth: Truth) -> dict[str, dict[str, Tensor]]:
         """Errors ``(B,)`` of one batch, by protocol and name; NaN for frames where nothing counts.
@@ -95,26 +97,24 @@ class Protocols:
         """
         number = self.scale.num_hypotheses
         index, valid = answer.index_at(self.directions, self.scale)
-        mask = truth.counts & valid
-        zones = {name: mask & zone for name, zone in self.zones.items()}
-        zones |= {"two": mask & (truth.cameras == 2), "three": mask & (truth.cameras == 3)}
-        zones |= {"four": mask & (truth.cameras > 3)}
+        mask = truth.regions["paper"] & valid
+        errors = {
+            name: depth_index_error(index, truth.indices, number, region & valid)
+            for name, region in truth.regions.items()
+        }
         depth, true_depth = depth_from_index(index, *self.scale), truth.inverse_depth.reciprocal()
         shape = truth.panorama.shape
         around, around_valid = answer.index_at(truth.panorama_directions, self.scale)
         panorama = inverse_depth_from_index(around, *self.scale).view(shape)
         panorama_mask = truth.panorama_counts & around_valid.view(shape)
         return {
-            "paper": depth_index_error(index, truth.indices, number, mask),
-            "all": depth_index_error(index, truth.indices, number, truth.valid & valid),
+            **{name: errors.pop(name) for name in ("paper", "all")},
             "solid_angle": depth_index_error(index, truth.indices, number, mask, self.solid_angles),
             "omnimvs": omnimvs_error(panorama, truth.panorama, self.scale.min_depth, panorama_mask),
-            "seam": depth_index_error(index, truth.indices, number, mask & self.seam),
-            "off_seam": depth_index_error(index, truth.indices, number, mask & ~self.seam),
-            **{name: depth_index_error(index, truth.indices, number, zone) for name, zone in zones.items()},
+            **errors,
             "depth": depth_error(depth, true_depth, mask),
             "points": {
                 "left_out": 100 * truth.left_out,
-                "unknown": 100 * (1 - mask.sum(1) / truth.counts.sum(1)),
+                "unknown": 100 * (1 - mask.sum(1) / truth.regions["paper"].sum(1)),
             },
         }

@@ -18,8 +18,6 @@ from omegaconf import DictConfig
 from sphericalvision.recipes.speed.measuring import Comparison
 from sphericalvision.threads import WAITING, available_cores
 
-__all__ = ["busy"]
-
 FRAMES = """
 import sys
 side, prepared = int(sys.argv[1]), sys.argv[2] == "True"

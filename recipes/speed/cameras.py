@@ -20,8 +20,6 @@ from torch import Tensor
 from sphericalvision import cameras as models
 from sphericalvision.recipes.speed.measuring import Comparison, Run
 
-__all__ = ["cameras"]
-
 SIZE, FOCAL, CENTER, WIDE = (800, 800), [240.0, 241.0], [399.2, 400.7], math.radians(95)
 MATRIX = np.array([[FOCAL[0], 0, CENTER[0]], [0, FOCAL[1], CENTER[1]], [0, 0, 1]])
 FISHEYE, PLUMB_BOB = [-0.0069, 0.0448, -0.0435, 0.0084], [-0.2, 0.05, 1e-3, -1e-3, 0.0]

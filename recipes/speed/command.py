@@ -7,7 +7,7 @@ Every figure is compared with another way to do the same work, run in turns with
 from __future__ import annotations
 
 import re
-from importlib import import_module
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -20,8 +20,13 @@ from typing_extensions import TypedDict
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.recipes.app.cli import choose_device, console
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Positive, Size, Text
+from sphericalvision.recipes.speed.busy import busy
+from sphericalvision.recipes.speed.cameras import cameras
+from sphericalvision.recipes.speed.frames import data, fps, presets
+from sphericalvision.recipes.speed.gpu import gpu
 from sphericalvision.recipes.speed.measuring import (
     MIN_ROUNDS,
+    Comparison,
     Measurement,
     comparison_table,
     machine,
@@ -29,8 +34,7 @@ from sphericalvision.recipes.speed.measuring import (
     prepare_operators,
     save_measurements,
 )
-
-__all__ = ["GROUPS", "SpeedKeys", "measure_speed"]
+from sphericalvision.recipes.speed.networks import convolutions, network, variants
 
 
 @with_config(STRICT)
@@ -55,15 +59,10 @@ class SpeedKeys(TypedDict, total=False):
     num_points: Count
 
 
-GROUPS = {
-    "cameras": "cameras",
-    **dict.fromkeys(("convolutions", "network", "variants"), "networks"),
-    **dict.fromkeys(("data", "fps", "presets"), "frames"),
-    "busy": "busy",
-    "gpu": "gpu",
+GROUPS: dict[str, Callable[[DictConfig, torch.device], Iterator[Comparison]]] = {
+    group.__name__: group
+    for group in (cameras, convolutions, network, variants, data, fps, presets, busy, gpu)
 }
-"""Group -> the module of this folder with a function of its name, which takes the configuration and the device and
-yields comparisons."""
 
 
 def measure_speed(
@@ -90,8 +89,7 @@ def measure_speed(
     rows: list[Measurement] = []
     titles: list[str] = []
     for group in config.groups or (["network"] if device.type == "cpu" else ["gpu"]):
-        module = import_module(f"sphericalvision.recipes.speed.{GROUPS[group]}")
-        for comparison in getattr(module, group)(config, device):
+        for comparison in GROUPS[group](config, device):
             titles.append(comparison.title)
             if pattern.search(comparison.title):
                 with console.status(comparison.title):

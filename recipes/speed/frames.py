@@ -28,8 +28,6 @@ from sphericalvision.scenes import make_scene, render_rig
 from sphericalvision.scenes.registry import scene_kinds
 from sphericalvision.sweep import index_from_inverse_depth
 
-__all__ = ["data", "fps", "presets"]
-
 CONDITIONS = {
     "clean": ("clean",),
     "disturbed": ("together",),
@@ -39,9 +37,9 @@ CONDITIONS = {
 
 THREADS = (1, 2)
 IMAGE_ROWS = 512
-"""Of the images that presets are compared with: the size that the finest of them is for."""
+"""Rows of the images that presets are compared with: the size that the finest of them is for."""
 FIRST = 56
-"""Of their scenes: earlier ones had a part in the choice of weights that ship."""
+"""Number of their first scene: earlier ones had a part in the choice of weights that ship."""
 
 
 def data(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
@@ -83,10 +81,10 @@ def presets(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     }
     first = next(iter(frames.values()))[0]
     predictors = {name: preset_predictor(name, first.rig, device) for name in config.presets}
-    for condition, own in frames.items():
+    for condition, scenes in frames.items():
         yield Comparison(
             f"presets: mean error at level 4 where two cameras see, {config.num_frames} {condition} scenes",
-            {name: partial(_error, predictor, own) for name, predictor in predictors.items()},
+            {name: partial(_error, predictor, scenes) for name, predictor in predictors.items()},
             unit="% of N",
         )
     calls = {name: partial(_on_threads, predictor, first.images, 1) for name, predictor in predictors.items()}

@@ -18,10 +18,8 @@ from sphericalvision.models import DepthNetwork, IcoSweepNet, pretrained
 from sphericalvision.recipes.speed.measuring import Comparison, Run, random_images
 from sphericalvision.scenes import make_scene, render_rig
 
-__all__ = ["gpu"]
-
 LEVELS = {"default": 6, "level 5": 5, "level 7": 7}
-"""Of the images that the networks which ship are timed at."""
+"""Levels of the images at which the network that ships is timed."""
 PREDICTORS: dict[str, dict[str, Any]] = {
     "default": {},
     "level 5": {"level": 5},
@@ -46,7 +44,7 @@ def gpu(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
         return Predictor(rig, min_depth=0.55, device=device, **options)
 
     def difference(options: Mapping[str, Any]) -> float:
-        """Of the index on the device from the CPU's in float32, in the mean over seen directions."""
+        """Difference of the index on the device from the CPU's in float32, in the mean over seen directions."""
         expected = predictor({k: v for k, v in options.items() if k == "level"}, torch.device("cpu"))(images)
         index = predictor(options, device)(images).index.cpu()
         return float((index - expected.index)[expected.seen].abs().mean())
@@ -59,11 +57,14 @@ def gpu(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     calls = {name: predictor(options, device) for name, options in PREDICTORS.items()}
     yield Comparison(
         f"Predictor: a call with four images of {side} x {side} bytes on the host, until its answer is there",
-        {name: partial(lambda each: each(images).index.cpu(), each) for name, each in calls.items()},
+        {name: partial(lambda call: call(images).index.cpu(), call) for name, call in calls.items()},
     )
     level, number = config.settings[-1]
     networks: dict[str, Callable[[], DepthNetwork]] = {
-        **{title: partial(pretrained().with_changes, level=own) for title, own in LEVELS.items()},
+        **{
+            title: partial(pretrained().with_changes, level=image_level)
+            for title, image_level in LEVELS.items()
+        },
         f"IcoSweepNet {level}/{number}": partial(
             IcoSweepNet, level, number, feature_channels=config.feature_channels
         ),

@@ -31,8 +31,6 @@ from sphericalvision.recipes.evaluation.records import write_json
 from sphericalvision.recipes.evaluation.tables import Table
 from sphericalvision.threads import thread_policy
 
-__all__ = ["OURS", "Comparison", "Measurement", "Run", "added_memory", "measure", "random_images", "ways"]
-
 OURS = "sphericalvision"
 MIN_ROUNDS, MAX_ROUNDS = 3, 50
 

@@ -22,8 +22,6 @@ from sphericalvision.models import DepthNetwork, IcoSweepNet, SemiGlobalSweep
 from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.speed.measuring import OURS, Comparison, Run, added_memory, random_images, ways
 
-__all__ = ["convolutions", "network", "variants"]
-
 
 def network(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     """All stages of the paper's network, and memory, at every setting ``[level, N]`` of ``config.settings``."""

@@ -113,9 +113,9 @@ def drawn_frame(
     images = {name: unsigned(image) for name, image in zip(rig.names, batch["fisheye"][0], strict=True)}
     colors, seen = rgb_panorama(rig, images, height, depth)
     view = as_bytes(colors.where(seen, torch.tensor(0.6)))
-    index = truth.indices[0].where(truth.valid[0], math.nan).float()
+    index = truth.indices[0].where(truth.regions["all"][0], math.nan).float()
     camera = camera_picture(images[rig.names[0]], height)
-    return DrawnFrame(camera, view, index, truth.counts[0], estimates, scale_of(config))
+    return DrawnFrame(camera, view, index, truth.regions["paper"][0], estimates, scale_of(config))
 
 
 def angle_plot(results: Results, views: list[View], num_hypotheses: int) -> Picture:

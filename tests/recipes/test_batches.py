@@ -29,7 +29,7 @@ from sphericalvision.models.refinedsweepnet import PRIOR
 from sphericalvision.recipes.datamodules.data_module import TrainingBatches, TrainingStream
 from sphericalvision.recipes.datamodules.random_rigs import RandomRigDataModule
 from sphericalvision.recipes.training.depth_module import DepthModule
-from sphericalvision.recipes.training.rig_tables import RigTables, stacked_tables
+from sphericalvision.recipes.training.rig_tables import RigTables, _tensors, stacked_tables
 from tests.documented import ROOT
 from tests.processes import python
 from tests.worlds import RANDOM_RIGS
@@ -88,12 +88,12 @@ def samples_of(net: DepthNetwork, generator: torch.Generator) -> list[dict[str, 
     ]
 
 
-def module_of(net: DepthNetwork, compile: str | None = None) -> DepthModule:
+def module_of(net: DepthNetwork, hints: float = 0.0, compile: str | None = None) -> DepthModule:
+    """A module that logs nothing; hints are drawn for each sample."""
     module = DepthModule(
-        net, depth_index_huber, torch.optim.SGD, lambda optimizer: optimizer, compile=compile
+        net, depth_index_huber, torch.optim.SGD, lambda optimizer: optimizer, hints=hints, compile=compile
     )
     module.log = lambda *_, **__: None  # type: ignore[method-assign,assignment]
-    module.hints = 0.0  # they are drawn for each sample
     return module
 
 
@@ -128,7 +128,7 @@ def compile_step(name: str) -> None:
     results = []
     for backend in (None, "aot_eager"):
         net.zero_grad()
-        loss = module_of(net, backend).training_step(batch, 0)
+        loss = module_of(net, compile=backend).training_step(batch, 0)
         loss.backward()
         results.append([loss, *(value.grad for value in net.parameters() if value.grad is not None)])
     for one, other in zip(*results, strict=True):
@@ -146,7 +146,7 @@ def test_a_compiled_step_is_one_graph_and_the_same(name: str) -> None:
 
 def test_a_backend_that_torch_lacks_is_refused() -> None:
     with pytest.raises(ArgumentError, match=r"task\.compile.*inductor"):
-        module_of(refined(), "faster")
+        module_of(refined(), compile="faster")
 
 
 @pytest.mark.parametrize("name", NETWORKS)
@@ -173,16 +173,9 @@ def test_bfloat16_is_of_layers_alone(name: str, generator: torch.Generator) -> N
         rounded = module.tables.of(batch["rig"])
     assert loss.dtype == torch.float32
     torch.testing.assert_close(loss, expected, rtol=0.02, atol=0)
-    assert tensors(rounded)
-    for one, other in zip(tensors(rounded), tensors(RigTables(net).of(batch["rig"])), strict=True):
+    assert _tensors(rounded)
+    for one, other in zip(_tensors(rounded), _tensors(RigTables(net).of(batch["rig"])), strict=True):
         assert torch.equal(one, other)
-
-
-def tensors(tables: Any) -> list[Tensor]:
-    """All tensors in tuples of tuples."""
-    if isinstance(tables, tuple):
-        return [tensor for part in tables for tensor in tensors(part)]
-    return [tables] if isinstance(tables, Tensor) else []
 
 
 def test_tables_of_a_batch_are_those_of_its_rigs() -> None:
@@ -204,18 +197,21 @@ def test_images_of_two_sizes_are_no_batch() -> None:
 
 
 class Numbers(torch.utils.data.Dataset[dict[str, Any]]):
-    """Seven samples that are their index."""
+    """Samples that are their index and a random number."""
+
+    def __init__(self, count: int) -> None:
+        self.count = count
 
     def __len__(self) -> int:
-        return 7
+        return self.count
 
     def __getitem__(self, index: int) -> dict[str, Any]:
-        return {"index": index}
+        return {"index": index, "noise": torch.rand(())}
 
 
 @pytest.mark.parametrize("world", [1, 3])
 def test_batches_hold_one_group_and_leave_nothing_out(world: int) -> None:
-    stream = TrainingStream(Numbers(), seed=2)
+    stream = TrainingStream(Numbers(7), seed=2)
 
     def batches(length: int, start: int = 0, rank: int = 0, world: int = 1) -> list[list[int]]:
         return list(TrainingBatches(stream, 2, length, lambda index: index % 3, start, rank, world))
@@ -270,8 +266,7 @@ def test_networks_on_panoramas_learn_from_random_rigs(
     data = RandomRigDataModule(num_train=6, batch_size=2, num_cameras=numbers, **options)
     net = make()
     data.bind_network(net)
-    module = DepthModule(net, depth_index_huber, torch.optim.SGD, lambda optimizer: optimizer)
-    module.log = lambda *_, **__: None  # type: ignore[method-assign,assignment]
+    module = module_of(net)
     for batch in islice(data.train_dataloader(), 2):
         assert batch["fisheye"].shape[1] in numbers
         assert batch["rig"].positions.shape[:2] == batch["fisheye"].shape[:2]

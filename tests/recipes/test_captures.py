@@ -94,7 +94,8 @@ def test_a_camera_has_the_same_files_whether_all_are_used_or_some(
 
     def files(cameras: list[str] | None) -> dict[str, Path]:
         if source == "masks":
-            _, masks = rig_with_masks(rig, f"{tmp_path}/{{camera}}/0001.png", cameras)
+            masked, masks = rig_with_masks(rig, f"{tmp_path}/{{camera}}/0001.png", cameras)
+            assert {*masked.masks} == {*(cameras or names)}
             return dict(zip(cameras or names, masks, strict=True))
         (files,) = open_source(images, rig, cameras=cameras).moments.values()
         return files
@@ -134,6 +135,8 @@ def test_what_is_wrong_with_the_layout_of_a_folder_is_told(tmp_path: Path) -> No
         open_source(str(tmp_path / "times"), rig)
     with pytest.raises(MissingFileError, match="frames="):
         open_source(str(tmp_path / "numbers"), rig, [9])
+    with pytest.raises(ArgumentError, match="masks"):
+        rig_with_masks(rig, f"{tmp_path}/mask.png")
     with pytest.raises(ArgumentError, match=r"cameras: .* of its own"):
         open_source(f"{tmp_path}/numbers/{{camera}}/{{frame}}.png", rig, labels={"cam1": "cam2"})
 
@@ -205,16 +208,6 @@ def test_requested_frames_are_given_in_their_order_or_what_is_missing_is_named(t
         find_capture(root + "/cam1/{frame}.png", NAMES)
     with pytest.raises(ArgumentError, match="frames"):
         find_capture(pattern, NAMES, ["first"])
-
-
-def test_masks_are_one_for_each_camera(tmp_path: Path) -> None:
-    rig = ring_rig(3, image_size=(8, 8))
-    for number in range(3):
-        write_image(tmp_path / f"cam{number}/mask.png", torch.ones(1, 8, 8))
-    masked, files = rig_with_masks(rig, f"{tmp_path}/cam{{camera}}/mask.png")
-    assert (list(masked.masks), len(files)) == (NAMES, 3)
-    with pytest.raises(ArgumentError, match="masks"):
-        rig_with_masks(rig, f"{tmp_path}/mask.png")
 
 
 @pytest.mark.parametrize(

@@ -85,13 +85,6 @@ def test_adapting_takes_a_capture_and_the_shipped_weights() -> None:
         check_node(config[group], group, ("net", "loss", "optimizer", "scheduler"))
 
 
-def test_the_digits_make_their_network_and_their_first_sample() -> None:
-    config = train_config("experiment=spherical_digits")
-    net = build(config.model)
-    sample = build(config.data).dataset("train")[0]
-    assert net(sample["values"][None]).shape == (1, 10)
-
-
 def test_rooms_to_segment_make_their_network_and_their_first_sample() -> None:
     config = train_config("experiment=segmentation", "data.cache_dir=null", "model.level=3")
     net = build(config.model)

@@ -20,6 +20,7 @@ from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.datamodules.clues import SamplesWithClues, clue_bytes, prior_of
 from sphericalvision.recipes.training.depth_module import DepthModule
 from tests.recipes.conftest import run_recipe
+from tests.recipes.test_batches import module_of
 from tests.recipes.tiny import Run, composed
 
 STAGES = ("prior", "fusion", "finer", "hints")
@@ -184,17 +185,9 @@ def test_a_loss_from_clues_is_that_of_the_images(tmp_path: Path) -> None:
     for clues in (None, str(weights)):
         data = build(config.data, levels=levels, clues=clues, num_cameras=[4], augment=False)
         data.bind_network(net)
-        module = DepthModule(
-            net, *(composed_loss(),), torch.optim.SGD, lambda optimizer: optimizer, hints=0.0
-        )
-        module.log = lambda *_, **__: None  # type: ignore[method-assign,assignment]
         batch = next(iter(data.train_dataloader()))
-        losses.append(module.training_step(batch, 0))
+        losses.append(module_of(net).training_step(batch, 0))
     assert sum(2 * values[0].numel() for values in batch["clues"].values()) == clue_bytes(net, 4)
     torch.testing.assert_close(losses[1], losses[0], rtol=2e-3, atol=0)
     with pytest.raises(ArgumentError, match="IcoSweepNet"):
         SamplesWithClues(data.plain("train").of_level[4].samples, prior, prior, tmp_path)
-
-
-def composed_loss() -> Any:
-    return build(composed("train").loss)

@@ -11,7 +11,6 @@ import sys
 import threading
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 import torch
@@ -27,32 +26,23 @@ from sphericalvision.recipes.datamodules.data_module import (
 )
 from sphericalvision.recipes.training.loaders import Loaders
 from tests.processes import python
+from tests.recipes.test_batches import Numbers
 from tests.recipes.tiny import Run
 
 Words = tuple[str, ...]
 DDP = ("trainer.devices=2", "trainer.strategy=ddp", "data.batch_size=1")
 
 
-class Numbers(torch.utils.data.Dataset[dict[str, Any]]):
-    """Samples that are their index and a random number."""
-
-    def __len__(self) -> int:
-        return 5
-
-    def __getitem__(self, index: int) -> dict[str, Any]:
-        return {"index": index, "noise": torch.rand(())}
-
-
 def test_a_training_stream_is_a_function_of_seed_and_position() -> None:
     """Every round holds each sample once; a stream that starts later is the same stream, noise included."""
-    stream = TrainingStream(Numbers(), seed=3)
+    stream = TrainingStream(Numbers(5), seed=3)
     whole = [stream[i] for i in range(15)]
     for start in (0, 5, 10):
         assert sorted(sample["index"] for sample in whole[start : start + 5]) == [0, 1, 2, 3, 4]
     assert [sample["index"] for sample in whole[:5]] != [sample["index"] for sample in whole[5:10]]
     later = TrainingBatches(stream, batch_size=1, length=8, start=7)
     assert [stream[i] for (i,) in later] == whole[7:]
-    other = TrainingStream(Numbers(), seed=4)
+    other = TrainingStream(Numbers(5), seed=4)
     assert [other[i]["noise"] for i in range(5)] != [sample["noise"] for sample in whole[:5]]
 
 
@@ -66,7 +56,7 @@ def test_batches_seen_are_those_of_all_processes() -> None:
 def test_processes_share_the_training_stream(batch_size: int, world: int) -> None:
     """The batches of a step, one process after the other, are one batch of a single process."""
     steps, start = 4, 7
-    stream = TrainingStream(Numbers(), seed=3)
+    stream = TrainingStream(Numbers(5), seed=3)
     whole = [stream[start * batch_size + i] for i in range(steps * batch_size * world)]
     shares = [
         TrainingBatches(stream, batch_size, steps, start=start, rank=rank, world=world)

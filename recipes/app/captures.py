@@ -264,9 +264,6 @@ def cameras_and_labels(
 ) -> tuple[list[str] | None, dict[str, str]]:
     """Names of the cameras in use, and the labels of those that a configuration has as ``name:label``.
 
-    Raises:
-        ArgumentError: the rig has no such camera.
-
     Examples:
         >>> from sphericalvision.cameras import ring_rig
         >>> cameras_and_labels(["cam2:/left/image_raw", "cam1"], ring_rig(2))

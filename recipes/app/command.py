@@ -30,6 +30,9 @@ NEEDED = (
 class Command:
     """The ``main`` of a command, which imports what does the work once the command line has been read.
 
+    A key that makes no sense is an ``ArgumentError`` that names it, and a file that cannot be read a
+    ``FileFormatError``: whatever does the work raises them, and they end it with one paragraph and status 1.
+
     Args:
         name: of its configuration, ``conf/NAME.yaml``.
         task: the function that does the work, as ``module:function`` in ``sphericalvision.recipes``; the one of this

@@ -38,12 +38,7 @@ class AlignConfig:
 
 
 def align(config: AlignConfig) -> RigTurns:
-    """Judge a calibration by some frames, as ``predict`` does, and write ``config.output`` if cameras are turned.
-
-    Raises:
-        ArgumentError: a key makes no sense; the message names it.
-        FileFormatError: an image cannot be read.
-    """
+    """Judge a calibration by some frames, as ``predict`` does, and write ``config.output`` if cameras are turned."""
     if config.format is not None:
         check_choice("format", config.format, RIG_FORMATS)
     source = config.capture.open()

@@ -85,9 +85,7 @@ def calibrate(config: CalibrateConfig) -> RefinedRig:
     """Find the board in ``config.images``, calibrate, print how well that went, and write ``config.output``.
 
     Raises:
-        ArgumentError: the board is found on less than three pictures of a camera, cameras never see it together, or a
-            key makes no sense; the message names it.
-        MissingFileError: there are no such pictures.
+        ArgumentError: the board is found on less than three pictures of a camera, or cameras never see it together.
     """
     check_choice("to", config.to, camera_model_names())
     board = board_of(config)
@@ -126,12 +124,8 @@ def calibrate(config: CalibrateConfig) -> RefinedRig:
 
 
 def board_of(config: CalibrateConfig) -> Board:
-    """The board that a configuration describes: a target file, or inner corners with the side of squares and markers.
-
-    Raises:
-        ArgumentError: it does not, or says twice what a target file says.
-    """
-    name = str(config.board)
+    """The board of a configuration: a target file, or inner corners with the side of squares and markers."""
+    name = config.board
     if name.lower().endswith((".yaml", ".yml")):
         for key in ("square", "marker"):
             if (value := getattr(config, key)) is not None:
@@ -149,8 +143,8 @@ def board_of(config: CalibrateConfig) -> Board:
         raise ArgumentError("square: expected the side of a square in metres, such as 0.03")
     columns, rows = int(match[1]), int(match[2])
     if config.marker is None:
-        return Checkerboard(columns, rows, float(config.square))
-    return Charuco(columns, rows, float(config.square), float(config.marker), str(config.dictionary).upper())
+        return Checkerboard(columns, rows, config.square)
+    return Charuco(columns, rows, config.square, config.marker, config.dictionary.upper())
 
 
 def _files(pattern: str) -> dict[str, dict[str, Path]]:

@@ -52,12 +52,17 @@ class ConvertConfig:
 def convert(config: ConvertConfig) -> dict[str, Conversion]:
     """Convert the cameras of ``config.file.calibration``, print how well that went, and write ``config.output``; or
     print how they differ from those of ``config.with_``.
-
-    Raises:
-        ArgumentError: an unknown model, format, camera or option; the message names the key.
     """
     every, rig = config.file.cameras_and_rig(torch.float64)
-    cameras = every if config.camera is None else _chosen(every, config)
+    cameras = every
+    if config.camera is not None:
+        name = str(config.camera)
+        if name not in every:
+            raise ArgumentError(
+                f"camera: expected one of {', '.join(every)}, the cameras of {config.file.calibration}, got "
+                f"{config.camera!r}"
+            )
+        cameras = {name: every[name]}
     if config.with_ is not None:
         _compare(config, list(every), rig, cameras)
         return {}
@@ -155,16 +160,6 @@ def _tell_turns(turns: dict[str, float], what: str) -> None:
             console.print(
                 f"{name}: its image is turned about the axis by {math.degrees(angle):.3f}°, which {what}."
             )
-
-
-def _chosen(cameras: Mapping[str, Camera], config: ConvertConfig) -> dict[str, Camera]:
-    name = str(config.camera)
-    if name not in cameras:
-        raise ArgumentError(
-            f"camera: expected one of {', '.join(cameras)}, the cameras of {config.file.calibration}, got "
-            f"{config.camera!r}"
-        )
-    return {name: cameras[name]}
 
 
 def _converted(name: str, camera: Camera, config: ConvertConfig) -> Conversion:

@@ -151,9 +151,6 @@ def _data_of(config: DictConfig, net: DepthNetwork, as_used: bool) -> SampleData
     """The data that ``config`` names, with the entries that the network and methods to compare take.
 
     ``as_used`` says whether camera images are needed, too.
-
-    Raises:
-        ArgumentError: a key of the data counts only in training, or samples hold no camera images.
     """
     data: SampleDataModule = build(config.data, "data")
     overrides = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
@@ -171,11 +168,7 @@ def _data_of(config: DictConfig, net: DepthNetwork, as_used: bool) -> SampleData
 
 
 def _compared_method(word: str, level: int, scale: Scale) -> Method:
-    """A method that is compared with a network, on the same images on the icosphere.
-
-    Raises:
-        ArgumentError: a network that takes other images.
-    """
+    """A method that is compared with a network, on the same images on the icosphere."""
     method = make_method(word, level, scale)
     if method.net.images != "sphere":
         raise ArgumentError(
@@ -185,11 +178,7 @@ def _compared_method(word: str, level: int, scale: Scale) -> Method:
 
 
 def _masks(batches: Iterable[dict[str, Any]]) -> Mapping[str, Tensor]:
-    """Masks of the rig's own body, found in up to fifty frames.
-
-    Raises:
-        ArgumentError: the frames are of several rigs.
-    """
+    """Masks of the rig's own body, found in up to fifty frames of one rig."""
     frames = list(islice((frame for batch in batches for frame in camera_images(batch)), MOST))
     rig = frames[0][0]
     if any(rig_fingerprint(other) != rig_fingerprint(rig) for other, _ in frames):

@@ -56,11 +56,7 @@ class ExportConfig:
 
 
 def export(config: ExportConfig, folder: Path) -> list[Path]:
-    """Write the program in every format of ``config.formats``; returns the files.
-
-    Raises:
-        ArgumentError: what ``RigProgram`` refuses; or an ONNX file in less than float32.
-    """
+    """Write the program in every format of ``config.formats``; returns the files."""
     if "onnx" in config.formats and config.precision != "float32":
         raise ArgumentError(
             f"precision: expected float32 for formats=[onnx], got {config.precision}: runtimes of ONNX convert "

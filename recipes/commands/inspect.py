@@ -73,8 +73,7 @@ def print_poses(rig: CameraRig, config: InspectConfig) -> None:
     ]
     print_table("baselines (m)", ["", *rig.names], rows)
     sphere = Icosphere(config.level)
-    depths = [float(depth) for depth in config.depths]
-    seen = overlap(coverage(rig, sphere.vertices, depths), sphere.solid_angles)
+    seen = overlap(coverage(rig, sphere.vertices, config.depths), sphere.solid_angles)
     rows = [
         [
             "far away" if math.isinf(depth) else f"{depth:g}",
@@ -82,7 +81,7 @@ def print_poses(rig: CameraRig, config: InspectConfig) -> None:
             f"{100 * two:.1f} %",
             f"{mean:.2f}",
         ]
-        for depth, one, two, mean in zip(depths, *(part.tolist() for part in seen), strict=True)
+        for depth, one, two, mean in zip(config.depths, *(values.tolist() for values in seen), strict=True)
     ]
     columns = ["depth (m)", "seen", "by two or more", "cameras on average"]
     print_table("share of the sphere that the rig sees, from its centre", columns, rows)
@@ -101,14 +100,14 @@ def save_pictures(
         return written
     written.append(folder / "rig.png")
     write_image(written[-1], rig_picture(rig))
-    for depth in map(float, config.picture_depths):
+    for depth in config.picture_depths:
         written.append(folder / f"coverage_{'far' if math.isinf(depth) else f'{depth:g}m'}.png")
         write_image(written[-1], coverage_panorama(rig, depth, title=Path(config.file.calibration).name))
     return written
 
 
 def inspect(config: InspectConfig, folder: Path) -> list[Path]:
-    """Print what is to be known about ``config.file`` and write pictures to ``folder``; returns the files."""
+    """Print fields of view, poses and overlap of ``config.file``, write pictures to ``folder``; returns the files."""
     models, posed_rig = config.file.cameras_and_rig()
     whole = posed_rig or CameraRig(models, torch.eye(4).repeat(len(models), 1, 1))  # a camera is a rig of one
     names, labels = cameras_and_labels(config.cameras, whole)

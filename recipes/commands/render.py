@@ -53,11 +53,7 @@ class RenderConfig:
 
 
 def render(config: RenderConfig) -> int:
-    """Render the frames that ``config.output`` lacks and return their number; runs of a multirun share the folder.
-
-    Raises:
-        ArgumentError: the folder holds frames of other settings.
-    """
+    """Render the frames that ``config.output`` lacks and return their number; runs of a multirun share the folder."""
     folder = Path(config.output).absolute()
     rig: CameraRig = build(config.rig, "rig")
     panoramas = any(isinstance(camera, EquirectangularCamera) for camera in rig.cameras.values())
@@ -139,7 +135,7 @@ def missing_frames(root: Path, frames: range, release: str, num_cameras: int) ->
 
 
 def _can_be_read(files: list[Path], layout: Release) -> bool:
-    """Whether images and, last, ground truth of a frame are whole: a disk that was full may have left them empty."""
+    """Tell whether images and, last, ground truth of a frame are whole: a full disk may have left them empty."""
     try:
         for path in files[:-1]:
             read_image(path)

@@ -146,11 +146,7 @@ def check_optimization(module: TrainingModule) -> None:
 
 
 def begin_logging(config: DictConfig, trainer: pl.Trainer) -> None:
-    """Let every logger begin, so that a key or a server that it lacks is told before anything is rendered.
-
-    Raises:
-        ArgumentError: one cannot begin; the message names it.
-    """
+    """Let every logger begin, so that a key or a server that it lacks is told before anything is rendered."""
     names = [name for name, node in (config.logger or {}).items() if node is not None]
     for name, logger in zip(names, trainer.loggers, strict=True):
         try:

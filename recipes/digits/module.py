@@ -24,15 +24,11 @@ class ClassificationModule(OrientationModule):
     unit = "percent correct"
 
     def score(self) -> Metric:
-        """Share of what is right."""
+        """Fraction of right answers."""
         return MulticlassAccuracy(self.net.hyperparameters["num_classes"], average="micro")
 
     def initialize(self, weights: str | Path) -> None:
-        """Start from the parameters of a checkpoint of the same network.
-
-        Raises:
-            ArgumentError: the other network differs; the message names how.
-        """
+        """Start from the parameters of a checkpoint of the same network."""
         other = self.stored_network(Path(weights))
         refuse_others(weights, other.hyperparameters, self.net.hyperparameters)
         self.net.load_state_dict(other.state_dict())

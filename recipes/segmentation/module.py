@@ -25,11 +25,7 @@ class SegmentationModule(OrientationModule):
         return SolidAngleIoU(self.net.grid, self.net.num_classes, ignore_index=-1)
 
     def initialize(self, weights: str | Path) -> None:
-        """Not offered.
-
-        Raises:
-            ArgumentError: always.
-        """
+        """Refuse: there are no weights to start from."""
         raise ArgumentError(
             "init_weights: experiment=segmentation starts from nothing; leave init_weights out"
         )

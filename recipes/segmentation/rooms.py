@@ -64,7 +64,6 @@ class LabelledRooms(Dataset[dict[str, Any]]):
     def __init__(
         self, first_seed: int, number: int, grid: SphereGrid, orientation: str, cache_dir: str | None = None
     ) -> None:
-        check_choice("orientation", orientation, tuple(ORIENTATIONS))
         self.first_seed, self.number, self.grid, self.orientation = first_seed, number, grid, orientation
         size = "-".join(map(str, grid.shape))
         folder = None if cache_dir is None else Path(cache_dir) / f"labelled-{size}-{orientation}"

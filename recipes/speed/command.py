@@ -68,11 +68,7 @@ GROUPS: dict[str, Callable[[DictConfig, torch.device], Iterator[Comparison]]] = 
 def measure_speed(
     config: Annotated[DictConfig, SpeedKeys], folder: Path, min_rounds: int = MIN_ROUNDS
 ) -> list[Measurement]:
-    """Measure the groups that ``config`` names; the tables go to ``folder``.
-
-    Raises:
-        ArgumentError: there is no such group or device, or nothing of that title.
-    """
+    """Measure the groups that ``config`` names; the tables go to ``folder``."""
     for group in config.groups or ():
         check_choice("groups", group, tuple(GROUPS))
     try:

@@ -64,11 +64,7 @@ class StudyKeys(TypedDict, total=False):
 
 
 def study(config: Annotated[DictConfig, StudyKeys], folder: Path) -> Results:
-    """Train, evaluate and report as ``config`` says; returns the results of all models, seeds and views.
-
-    Raises:
-        ArgumentError: nothing is trained, and nothing is to be.
-    """
+    """Train, evaluate and report as ``config`` says; returns the results of all models, seeds and views."""
     models, all_views = study_models(config), views(config)
     trainings = [training for model in models for training in model.trainings(config, folder)]
     print_config(config, folder)

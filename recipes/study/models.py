@@ -99,11 +99,7 @@ def scale_of(config: DictConfig) -> Scale:
 
 
 def study_models(config: DictConfig) -> list[StudyModel]:
-    """The models of ``config.models``, in order, and the network of ``config.checkpoint``; null is left out.
-
-    Raises:
-        ArgumentError: there is none, or one has an unknown kind or key.
-    """
+    """The models of ``config.models``, in order, and the network of ``config.checkpoint``; null is left out."""
     models = [_model(name, node) for name, node in (config.models or {}).items() if node is not None]
     if config.checkpoint is not None:
         label = Path(config.checkpoint).stem

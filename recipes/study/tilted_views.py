@@ -33,11 +33,7 @@ class View(NamedTuple):
 
 
 def views(config: DictConfig) -> list[View]:
-    """All views of a study: every angle and, with ``inputs=equirect``, the level rig of 360° cameras.
-
-    Raises:
-        ArgumentError: the same angle twice.
-    """
+    """All views of a study: every angle and, with ``inputs=equirect``, the level rig of 360° cameras."""
     angles = [float(angle) for angle in config.angles_deg]
     if len(set(angles)) != len(angles):
         raise ArgumentError(f"angles_deg: expected each angle once, got {angles}")
@@ -54,11 +50,7 @@ def views(config: DictConfig) -> list[View]:
 
 
 def view_frames(config: DictConfig, view: View) -> SampleFrames:
-    """The frames of a view, with ``images`` on the icosphere, ``fisheye`` images and ground truth.
-
-    Raises:
-        ArgumentError: ``panel_frame`` is none of them, or the data are neither rendered nor a set on disk.
-    """
+    """The frames of a view, with ``images`` on the icosphere, ``fisheye`` images and ground truth."""
     size = config.image_size if view.inputs == "fisheye" else config.equirect_size
     size = None if size is None else [int(side) for side in size]
     level, is_rendered = config.model.level, "rig" in config.data
@@ -79,7 +71,7 @@ def view_frames(config: DictConfig, view: View) -> SampleFrames:
     else:
         raise ArgumentError("data: expected data=fisheye_scenes, or a set on disk such as data=omnihouse")
     count = len(samples) if config.frames is None else min(config.frames, len(samples))
-    if not 0 <= config.panel_frame < count:
+    if config.panel_frame >= count:
         raise ArgumentError(f"panel_frame: expected 0 to {count - 1}, got {config.panel_frame}")
     return SampleFrames(
         lambda indices: data.loader(Subset(samples, indices)),

@@ -102,7 +102,11 @@ class SphericalDigits(Dataset[dict[str, Any]]):
         if self.orientation == "upright":
             values = self._upright[index, None]
         else:
-            values = draw_on_sphere(images[number], self.grid, self.field_of_view, self._rotation(number))
+            generator = None
+            if self.seed is not None:
+                generator = torch.Generator().manual_seed(self.seed * 1_000_003 + number)
+            rotation = random_rotations(1, generator=generator)[0]
+            values = draw_on_sphere(images[number], self.grid, self.field_of_view, rotation)
         return {"values": values, "label": labels[number]}
 
     @functools.cached_property
@@ -110,12 +114,6 @@ class SphericalDigits(Dataset[dict[str, Any]]):
         """All digits ``(n, *grid.shape)``, drawn once."""
         images, _ = load_digits()
         return draw_on_sphere(images[list(self.indices), 0], self.grid, self.field_of_view)
-
-    def _rotation(self, number: int) -> Tensor:
-        generator = None
-        if self.seed is not None:
-            generator = torch.Generator().manual_seed(self.seed * 1_000_003 + number)
-        return random_rotations(1, generator=generator)[0]
 
 
 NUM_DIGITS = 1797

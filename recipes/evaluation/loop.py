@@ -115,13 +115,17 @@ def evaluate(
     remaining = [name for name in frames.names if any(name in names for names in missing.values())]
     try:
         for names, batch in frames.batches(remaining) if remaining else ():
-            batch = _on(batch, measure.directions.device)
+            device = measure.directions.device
+            if isinstance(batch, dict):
+                batch = {
+                    key: value.to(device) if hasattr(value, "to") else value for key, value in batch.items()
+                }
             truth = measure.truth(batch)
             for method in methods:
                 record = records[method.name]
                 if not set(names) & set(missing[method.name]):
                     continue
-                method.net.to(measure.directions.device)
+                method.net.to(device)
                 answer = method(batch)
                 errors = measure.errors(answer, truth)
                 for frame, name in enumerate(names):
@@ -141,13 +145,6 @@ def evaluate(
             if missing[method.name]:
                 records[method.name].save()
     return {name: record.only(frames.names) for name, record in records.items()}
-
-
-def _on(batch: Batch, device: torch.device) -> Batch:
-    """A batch on a device."""
-    if not isinstance(batch, dict):
-        return batch
-    return {key: value.to(device) if hasattr(value, "to") else value for key, value in batch.items()}
 
 
 class Measure(Protocol):

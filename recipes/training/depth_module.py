@@ -73,7 +73,15 @@ class DepthModule(TrainingModule):
         if learns is not None:
             net.requires_grad_(False)
             for beginning in learns:
-                _select(net, beginning)
+                weights = [weight for name, weight in net.named_parameters() if name.startswith(beginning)]
+                if not weights:
+                    names = ", ".join(sorted({name.partition(".")[0] for name, _ in net.named_parameters()}))
+                    raise ArgumentError(
+                        f"task.learns: no weight of {type(net).__name__} has a name that begins with {beginning!r}; "
+                        f"its parts are {names}"
+                    )
+                for weight in weights:
+                    weight.requires_grad_(True)
         self.hints = hints
         net.configure(recompute=recompute)
         if compile is not None:
@@ -154,19 +162,6 @@ class DepthModule(TrainingModule):
         for name in METRICS:
             key = f"val/{name.replace('>', 'over_')}"
             self.log(key, values[name], prog_bar=name == "MAE", sync_dist=True)
-
-
-def _select(net: DepthNetwork, beginning: str) -> None:
-    """Let the weights learn whose names begin so."""
-    weights = [weight for name, weight in net.named_parameters() if name.startswith(beginning)]
-    if not weights:
-        names = ", ".join(sorted({name.partition(".")[0] for name, _ in net.named_parameters()}))
-        raise ArgumentError(
-            f"task.learns: no weight of {type(net).__name__} has a name that begins with {beginning!r}; its parts are "
-            f"{names}"
-        )
-    for weight in weights:
-        weight.requires_grad_(True)
 
 
 def _target(batch: dict[str, Any], net: DepthNetwork) -> tuple[Tensor, Tensor]:

@@ -12,7 +12,6 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +24,10 @@ from torch import nn
 
 from sphericalvision.core import ArgumentError, check_file
 from sphericalvision.io.files import atomic_write
-from sphericalvision.io.yaml_files import parse_yaml
 from sphericalvision.models import DepthNetwork, save_weights
 from sphericalvision.models.weights.registry import network_name
 from sphericalvision.recipes.app.checkpoints import read_checkpoint
-from sphericalvision.recipes.app.cli import changes
+from sphericalvision.recipes.app.cli import changes, read_settings
 from sphericalvision.recipes.app.help import walk
 from sphericalvision.recipes.training.loaders import Loaders
 from sphericalvision.recipes.training.module import TrainingModule, name_of
@@ -149,15 +147,8 @@ def stored_network(path: Path) -> dict[str, Any]:
 
 def changed_settings(folder: Path, config: DictConfig) -> list[str]:
     """Settings in which ``config`` differs from the run in a folder: ``key was old, is new``."""
-    path = folder / "config.yaml"
-    if not path.is_file():
-        return []
-    return changes(_written_settings(path.read_text(encoding="utf-8"), str(path)), flat_settings(config))
-
-
-@lru_cache(maxsize=64)  # a study asks of every training four times whether it is done
-def _written_settings(text: str, where: str) -> dict[str, Any]:
-    return flat_settings(OmegaConf.create(parse_yaml(text, where) or {}))
+    written = read_settings(folder / "config.yaml")
+    return changes(flat_settings(OmegaConf.create(written)), flat_settings(config)) if written else []
 
 
 def flat_settings(config: Any) -> dict[str, Any]:

@@ -3,28 +3,30 @@
 
 from __future__ import annotations
 
-import json
 import math
 import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hydra import compose
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from sphericalvision.core import ArgumentError
-from sphericalvision.io.files import atomic_write
+from sphericalvision.io.files import write_bytes
 from sphericalvision.recipes import train
 from sphericalvision.recipes.app.cli import build, print_table, say
 from sphericalvision.recipes.app.errors import several_processes
 from sphericalvision.recipes.app.words import own_configs
+from sphericalvision.recipes.evaluation.records import read_json, write_json
 from sphericalvision.recipes.training.run_folder import changed_settings, flat_settings
 
 OF_STAGES = ("experiment=", "stages=", "output=", "resume=", "result=", "paths.stages=")
 """Words of the whole command line that its stages set themselves."""
+HOURS = "hours.json"
+"""File next to the weights: stage -> hours that it has taken."""
 
 
 class Stage(NamedTuple):
@@ -135,25 +137,22 @@ def run_training(words: list[str], config: DictConfig) -> None:
 
 def note(stage: Stage, seconds: float, folder: Path) -> None:
     """Add to the hours that a stage has taken."""
-    path = folder / "hours.json"
-    hours = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    with atomic_write(path) as temporary:
-        temporary.write_text(json.dumps({**hours, stage.name: seconds / 3600}), encoding="utf-8")
+    write_json(folder / HOURS, {**read_if_there(folder / HOURS), stage.name: seconds / 3600})
 
 
 def errors_of(stage: Stage) -> dict[str, dict[str, float]]:
     """Errors that were validated at its end."""
-    path = Path(stage.config.output) / "validation.json"
-    errors: dict[str, dict[str, float]] = {}
-    if path.is_file():
-        errors = json.loads(path.read_text(encoding="utf-8"))
-    return errors
+    return read_if_there(Path(stage.config.output) / "validation.json")
+
+
+def read_if_there(path: Path) -> dict[str, Any]:
+    """Read a file of ``write_json``; nothing where there is none."""
+    return read_json(path) if path.is_file() else {}
 
 
 def write_card(stages: list[Stage], folder: Path) -> Path:
     """Write which command made the weights, of what, in how much time, and how well they do."""
-    hours = folder / "hours.json"
-    measured = json.loads(hours.read_text(encoding="utf-8")) if hours.is_file() else {}
+    measured = read_if_there(folder / HOURS)
     lines = [
         f"# {stages[-1].result.stem}",
         "",
@@ -176,6 +175,5 @@ def write_card(stages: list[Stage], folder: Path) -> Path:
         values = [f"`{key}={value}`" for key, value in settings.items() if value is not None]
         lines += [f"* {stage.name}: {', '.join(values)}"]
     path = stages[-1].result.with_suffix(".md")
-    with atomic_write(path) as temporary:
-        temporary.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    write_bytes(path, "\n".join([*lines, ""]).encode())
     return path

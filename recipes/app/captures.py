@@ -150,8 +150,8 @@ class CaptureFields:
 
     def capture_with(self, **keys: Any) -> Capture:
         """The capture of these keys, and of further ones."""
-        own = {field.name: getattr(self, field.name) for field in dataclasses.fields(CaptureFields)}
-        return Capture(**{**own, "calibration": self.calibration or self.images, **keys})
+        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(CaptureFields)}
+        return Capture(**{**values, "calibration": self.calibration or self.images, **keys})
 
 
 def size_of_images(pattern: str) -> tuple[int, int] | None:

@@ -108,8 +108,8 @@ def _unknown_key(key: str, command: str, words: Sequence[str]) -> str:
     groups = compose(command, return_hydra_config=True).hydra.runtime.choices
     choices = [word for word in words if word.partition("=")[0] in {*groups} - {key}]
     if match := re.fullmatch(r"(.+?)\.(\d+)\.(.+)", key):
-        table, number, name = match.groups()
-        return f"names with dots do not reach tables of numbers; write '{table}={{{number}:{{{name}:...}}}}'."
+        table, index, name = match.groups()
+        return f"names with dots do not reach tables of numbers; write '{table}={{{index}:{{{name}:...}}}}'."
     group, dot, _ = key.partition(".")
     owners = [  # options alone: to compose the command with each would take seconds
         f"{group}={option}"

@@ -37,8 +37,8 @@ def print_help(config_name: str, overrides: list[str]) -> None:
         name, _, package = group.partition("@")
         print(f"  {group}={choice}   one of {' | '.join(options_of(name, config_name, overrides))}")
         if choice is not None:
-            own = sources.text(f"{name}/{choice}").startswith("# @package _global_")
-            comments = sources.comments(f"{name}/{choice}", package or ("" if own else name)) | comments
+            is_global = sources.text(f"{name}/{choice}").startswith("# @package _global_")
+            comments = sources.comments(f"{name}/{choice}", package or ("" if is_global else name)) | comments
     print("\nKeys (KEY=VALUE):")
     rows = [
         (f"{key}={_written(value)}", comments.get(key, ""))

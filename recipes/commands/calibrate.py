@@ -168,8 +168,8 @@ def _files(pattern: str) -> dict[str, dict[str, Path]]:
         if (match := re.fullmatch(expression, path)) is None:
             continue  # of another camera than the folder that it is in
         camera = match.groupdict().get("camera", LONE)
-        own = match.re.groupindex.get("camera")
-        moment = " ".join(text for number, text in enumerate(match.groups(), 1) if number != own)
+        camera_group = match.re.groupindex.get("camera")
+        moment = " ".join(text for index, text in enumerate(match.groups(), 1) if index != camera_group)
         files.setdefault(moment, {})[camera] = Path(path)
     if not files:
         raise MissingFileError(
@@ -204,9 +204,9 @@ def _of_videos(files: Mapping[str, Path], views: list[str], num_frames: int) -> 
         if "" in source.streams:
             source.whole = source.rig = rig_of_views(views, source.streams[""].size)
         print_labels(source)
-    elif list(files) == [LONE] and (number := len(read_streams(files[LONE]))) > 1:
+    elif list(files) == [LONE] and (count := len(read_streams(files[LONE]))) > 1:
         raise ArgumentError(
-            f"cameras: {files[LONE]} has {number} video streams; name their cameras, [front,back]"
+            f"cameras: {files[LONE]} has {count} video streams; name their cameras, [front,back]"
         )
     else:
         source = Videos(files, rig_of_views(list(files), (8, 8 * len(files))))
@@ -256,10 +256,10 @@ def _report(result: RefinedRig, pictures: Pictures) -> None:
     errors = (squares.sum(-1) / used.sum(-1)).sqrt()  # nan where there is no board
     names = list(pictures.sizes)
     rows = [
-        [moment[name], f"{errors[number, index]:.3f}"]
-        for number, moment in enumerate(pictures.labels)
+        [moment[name], f"{errors[row, index]:.3f}"]
+        for row, moment in enumerate(pictures.labels)
         for index, name in enumerate(names)
-        if bool(used[number, index].any())
+        if bool(used[row, index].any())
     ]
     rows.sort(key=lambda row: -float(row[1]))
     count = sum(map(len, pictures.labels))
@@ -288,9 +288,9 @@ def _report(result: RefinedRig, pictures: Pictures) -> None:
         )
     astray = [
         moment[name]
-        for number, moment in enumerate(pictures.labels)
+        for row, moment in enumerate(pictures.labels)
         for index, name in enumerate(names)
-        if int(pictures.seen[number, index].sum()) >= FEWEST and not bool(used[number, index].any())
+        if int(pictures.seen[row, index].sum()) >= FEWEST and not bool(used[row, index].any())
     ]
     if astray:
         some = ", ".join(astray[:MAX_PICTURES]) + (" ..." if len(astray) > MAX_PICTURES else "")
@@ -316,10 +316,10 @@ def _print_image(name: str, rig: CameraRig, index: int, pixels: Tensor, squares:
     )
     rows, bare = [], []
     for step in range(int(ring.max()) + 1):
-        cells = [(ring == step) & (sector == number) for number in range(len(SECTORS))]
+        cells = [(ring == step) & (sector == octant) for octant in range(len(SECTORS))]
         label = f"{RING_DEG * step}-{RING_DEG * (step + 1)}°"
         rows.append([label, *(f"{squares[cell].mean().sqrt():.2f}" if cell.any() else "-" for cell in cells)])
-        bare += [f"{label} {SECTORS[number]}" for number, cell in enumerate(cells) if not cell.any()]
+        bare += [f"{label} {SECTORS[octant]}" for octant, cell in enumerate(cells) if not cell.any()]
     print_table(f"{name}: RMS (px) by angle from the axis and direction", ["", *SECTORS], rows)
     if bare:
         console.print(

@@ -95,12 +95,11 @@ def demo(config: DemoConfig, folder: Path) -> Table:
 
 def _save_comparison(folder: Path, frame: dict[str, Any], panoramas: Panoramas, net: DepthNetwork) -> None:
     """Ground truth and error as pictures, and everything side by side."""
-    number = net.num_hypotheses
-    truth = frame["inverse_depth"]
-    estimate = index_from_inverse_depth(panoramas.panorama.depth.reciprocal(), number, net.min_depth)
-    error = (estimate - index_from_inverse_depth(truth, number, net.min_depth)).abs() * (100 / number)
+    count, truth = net.num_hypotheses, frame["inverse_depth"]
+    estimate = index_from_inverse_depth(panoramas.panorama.depth.reciprocal(), count, net.min_depth)
+    error = (estimate - index_from_inverse_depth(truth, count, net.min_depth)).abs() * (100 / count)
     true = depth_panorama(truth.reciprocal(), panoramas.near)
-    wrong = error_panorama(error, max_error=10.0, label=f"error (% of N = {number})")
+    wrong = error_panorama(error, max_error=10.0, label=f"error (% of N = {count})")
     write_image(folder / "ground_truth.png", true)
     write_image(folder / "error.png", wrong)
     colors = as_bytes(panoramas.colors[0].cpu())

@@ -121,8 +121,8 @@ def _begin_worker(number: int) -> None:
     torch.inference_mode().__enter__()
 
 
-def even_batches(number: int, batch_size: int, world: int) -> list[list[int]]:
-    """Indices 0 to ``number - 1`` in batches, each once and in order, as many batches for each of ``world`` processes.
+def even_batches(samples: int, batch_size: int, world: int) -> list[list[int]]:
+    """Indices 0 to ``samples - 1`` in batches, each once and in order, as many batches for each of ``world`` processes.
 
     Processes wait for each other in every batch, so none may have one more. Where the last round would leave a process
     without a sample, earlier batches are larger by one or two.
@@ -136,15 +136,13 @@ def even_batches(number: int, batch_size: int, world: int) -> list[list[int]]:
         >>> even_batches(5, batch_size=2, world=2)
         [[0, 1], [2], [3], [4]]
     """
-    if number < world:
+    if samples < world:
         raise ArgumentError(
-            f"data: {number} samples to validate or test with are too few for {world} processes; set "
-            f"trainer.devices={number} or take more samples"
+            f"data: {samples} samples to validate or test with are too few for {world} processes; set "
+            f"trainer.devices={samples} or take more samples"
         )
-    rounds = min(-(-number // (batch_size * world)), number // world)
-    size, larger = divmod(number, rounds * world)
-    indices = iter(range(number))
-    return [[next(indices) for _ in range(size + (n < larger))] for n in range(rounds * world)]
+    rounds = min(-(-samples // (batch_size * world)), samples // world)
+    return [batch.tolist() for batch in torch.arange(samples).tensor_split(rounds * world)]
 
 
 @dataclass(eq=False, repr=False)

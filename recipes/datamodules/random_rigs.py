@@ -59,13 +59,13 @@ class SamplesOfLevels(Dataset[Sample]):
         return len(self.entries)
 
     def __getitem__(self, index: int) -> Sample:
-        level, number = self.entries[index]
-        return self.of_level[level][number]
+        level, position = self.entries[index]
+        return self.of_level[level][position]
 
     def is_cached(self, index: int) -> bool:
         """Tell whether what was made for a sample is in the cache."""
-        level, number = self.entries[index]
-        return self.of_level[level].is_cached(number)
+        level, position = self.entries[index]
+        return self.of_level[level].is_cached(position)
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
@@ -249,11 +249,11 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
         return SamplesWithClues(samples, self.net, prior_of(self.clues), self.cache_dir)
 
     def group(self, index: int) -> tuple[int | None, int, bool]:
-        """Level, number of cameras and kind of lens of a training sample."""
+        """Level, position of cameras and kind of lens of a training sample."""
         if self.levels is None:
             return (None, *self.rigs(self.image_size).kind(Draws.of(self.seeds("train")[index]).rig))
-        level, number = self.round_indices[index]
-        seed = _seeds_of(self.levels[level])[number]
+        level, position = self.round_indices[index]
+        seed = _seeds_of(self.levels[level])[position]
         return (level, *self.rigs(self.image_size).kind(Draws.of(seed).rig))
 
     @property
@@ -264,5 +264,5 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
 
 
 def _seeds_of(part: LevelSamples) -> range:
-    first, number = part["seeds"]
-    return range(first, first + number)
+    first, count = part["seeds"]
+    return range(first, first + count)

@@ -216,8 +216,8 @@ class OwnScansDataModule(CaptureFields, ScannedDataModule):
         scans = OwnScans(
             files, self.source.rig, self.points, pose, height, transform, self.tolerance, self.point_columns
         )
-        number = max(round(self.val_share * len(scans.names)), int(self.val_share > 0))
-        splits = {"train": scans.names[: len(scans) - number], "val": scans.names[len(scans) - number :]}
+        num_train = len(scans) - max(round(self.val_share * len(scans.names)), int(self.val_share > 0))
+        splits = {"train": scans.names[:num_train], "val": scans.names[num_train:]}
         scans.names = splits.get(split, scans.names)
         if not scans.names:
             raise ArgumentError(

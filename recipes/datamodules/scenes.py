@@ -62,13 +62,13 @@ class RenderedDataModule(DepthDataModule):
         held_out = {"val": (self.num_val, self.val_seed), "test": (self.num_test, self.test_seed)}
         self.scenes = {"train": (self.num_train, self.train_seed), **held_out}
         seeds = {**self.training_seeds(), **held_out}
-        for split, (number, first) in seeds.items():
-            if first + number > HELD_OUT_SEED:
+        for split, (count, first) in seeds.items():
+            if first + count > HELD_OUT_SEED:
                 raise ArgumentError(
                     f"data: seeds from {HELD_OUT_SEED} are held out for the benchmark, and {split} scenes end at "
-                    f"{first + number - 1}; set data.{split}_seed to {HELD_OUT_SEED - number} or less"
+                    f"{first + count - 1}; set data.{split}_seed to {HELD_OUT_SEED - count} or less"
                 )
-        ranges = sorted((first, first + number, split) for split, (number, first) in seeds.items())
+        ranges = sorted((first, first + count, split) for split, (count, first) in seeds.items())
         for (_, end, one), (start, _, other) in pairwise(ranges):
             if start < end:
                 raise ArgumentError(
@@ -82,8 +82,8 @@ class RenderedDataModule(DepthDataModule):
 
     def seeds(self, split: str) -> range:
         """The seeds of a split."""
-        number, first = self.scenes[split]
-        return range(first, first + number)
+        count, first = self.scenes[split]
+        return range(first, first + count)
 
     def plain(self, split: str) -> Dataset[Sample]:
         """Samples of one split as they are rendered. Every subclass implements it."""

@@ -98,16 +98,16 @@ class SphericalDigits(Dataset[dict[str, Any]]):
 
     def __getitem__(self, index: int) -> dict[str, Any]:
         images, labels = load_digits()
-        number = self.indices[index]
+        digit = self.indices[index]
         if self.orientation == "upright":
             values = self._upright[index, None]
         else:
             generator = None
             if self.seed is not None:
-                generator = torch.Generator().manual_seed(self.seed * 1_000_003 + number)
+                generator = torch.Generator().manual_seed(self.seed * 1_000_003 + digit)
             rotation = random_rotations(1, generator=generator)[0]
-            values = draw_on_sphere(images[number], self.grid, self.field_of_view, rotation)
-        return {"values": values, "label": labels[number]}
+            values = draw_on_sphere(images[digit], self.grid, self.field_of_view, rotation)
+        return {"values": values, "label": labels[digit]}
 
     @functools.cached_property
     def _upright(self) -> Tensor:

@@ -136,12 +136,12 @@ def _cost(results: Results) -> Table:
     for method in results.methods:
         costs = (records[method.name].cost for records in results.records.values())
         cost = next(filter(None, costs), {"parameters": None, "gflop": None})
-        number, operations = cost["parameters"], cost["gflop"]
+        parameters, operations = cost["parameters"], cost["gflop"]
         seconds = results.errors(method, "seconds", *results.records)
         rows.append(
             [
                 method.label,
-                None if number is None else f"{number:,}",
+                None if parameters is None else f"{parameters:,}",
                 None if operations is None else Cell(operations, digits=1),
                 sorted(seconds)[len(seconds) // 2] if seconds else None,
             ]

@@ -54,7 +54,7 @@ class SampleFrames:
         load: makes batches of the samples of some numbers, put together as ``collate_samples`` does.
         count: of all samples.
         name: of the set, and of its progress.
-        drawn: numbers of the frames that are drawn.
+        drawn: indices of the frames that are drawn.
         key: what the frames depend on.
     """
 
@@ -67,17 +67,17 @@ class SampleFrames:
         key: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
         self.load, self.name, self.key = load, name, key
-        self.names = [str(number) for number in range(count)]
-        self.drawn = {str(number) for number in drawn}
+        self.names = [str(index) for index in range(count)]
+        self.drawn = {str(index) for index in drawn}
 
     def batches(self, names: Sequence[str]) -> Iterator[tuple[Sequence[str], Batch]]:
         """The samples of some names, in batches."""
         done = 0
         loader = self.load([int(name) for name in names])
         for batch in track(loader, self.name, total=len(loader)):
-            number = len(batch["valid"])
-            yield names[done : done + number], batch
-            done += number
+            size = len(batch["valid"])
+            yield names[done : done + size], batch
+            done += size
 
 
 @torch.no_grad()
@@ -177,8 +177,8 @@ def errors_of_frame(errors: Mapping[str, Any], frame: int) -> Errors:
         if isinstance(value, Mapping):
             result[key] = errors_of_frame(value, frame)
         else:
-            number = float(value[frame])
-            result[key] = None if math.isnan(number) else number
+            error = float(value[frame])
+            result[key] = None if math.isnan(error) else error
     return result
 
 

@@ -137,8 +137,8 @@ class Method:
         inputs, counter = self._inputs(batch), FlopCounterMode(display=False)
         with reference_kernels(), counter:
             self.net.predict(*inputs)
-        number = sum(parameter.numel() for parameter in self.net.parameters())
-        return {"parameters": number, "gflop": counter.get_total_flops() / 1e9 if number else None}
+        count = sum(parameter.numel() for parameter in self.net.parameters())
+        return {"parameters": count, "gflop": counter.get_total_flops() / 1e9 if count else None}
 
 
 class AsUsed(Method):
@@ -217,8 +217,8 @@ class Answer:
         return self._look_up(self.estimate.confidence, directions)[0]
 
     def _look_up(self, values: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
-        own = self.net.grid.directions
-        if own.shape == directions.shape and torch.equal(own.to(directions), directions):
+        points = self.net.grid.directions
+        if points.shape == directions.shape and torch.equal(points.to(directions), directions):
             return values.float(), torch.ones(len(directions), dtype=torch.bool, device=values.device)
         return self.net.index_at(values.float(), directions)
 

@@ -95,11 +95,11 @@ class Protocols:
         * ``depth``: AbsRel, RMSE in metres and the share within a factor 1.25, over the vertices of ``paper``;
         * ``points``: percent of the valid vertices left out, and of the others that the model says nothing about.
         """
-        number = self.scale.num_hypotheses
+        num_hypotheses = self.scale.num_hypotheses
         index, valid = answer.index_at(self.directions, self.scale)
         mask = truth.regions["paper"] & valid
         errors = {
-            name: depth_index_error(index, truth.indices, number, region & valid)
+            name: depth_index_error(index, truth.indices, num_hypotheses, region & valid)
             for name, region in truth.regions.items()
         }
         depth, true_depth = depth_from_index(index, *self.scale), truth.inverse_depth.reciprocal()
@@ -109,7 +109,7 @@ class Protocols:
         panorama_mask = truth.panorama_counts & around_valid.view(shape)
         return {
             **{name: errors.pop(name) for name in ("paper", "all")},
-            "solid_angle": depth_index_error(index, truth.indices, number, mask, self.solid_angles),
+            "solid_angle": depth_index_error(index, truth.indices, num_hypotheses, mask, self.solid_angles),
             "omnimvs": omnimvs_error(panorama, truth.panorama, self.scale.min_depth, panorama_mask),
             **errors,
             "depth": depth_error(depth, true_depth, mask),

@@ -77,15 +77,16 @@ class RectifiedSGBM(DepthNetwork):
     def _disparities(self, pair: RectifiedPair, rig: CameraRig, left: Tensor, right: Tensor) -> Tensor:
         """Disparities of left images (B, 4, h, w), whose last channel is a mask; -1 where unknown."""
         reach = float((pair.rig.positions[0] - rig.center).norm())
-        nearest = max(self.min_depth - reach, 0.2 * self.min_depth)  # from the left camera
-        most = float(pair.disparity(torch.full(pair.image_size, nearest))[0].max())
-        levels = 16 * math.ceil((most + 1) / 16)
+        # From the left camera; never 0, where a camera stands as far out as the nearest hypothesis.
+        nearest = max(self.min_depth - reach, 0.2 * self.min_depth)
+        largest = float(pair.disparity(torch.full(pair.image_size, nearest))[0].max())
+        levels = 16 * math.ceil((largest + 1) / 16)  # OpenCV takes multiples of 16
         area = BLOCK_SIZE**2
         matcher = cv2.StereoSGBM.create(
             minDisparity=0,
             numDisparities=levels,
             blockSize=BLOCK_SIZE,
-            P1=8 * area,
+            P1=8 * area,  # these two as OpenCV's examples have them
             P2=32 * area,
             disp12MaxDiff=1,
             uniquenessRatio=UNIQUENESS,
@@ -94,13 +95,13 @@ class RectifiedSGBM(DepthNetwork):
             mode=cv2.STEREO_SGBM_MODE_HH,
         )
         frames = []
-        for both in zip(left, right, strict=True):
+        for images in zip(left, right, strict=True):
             # What would be matched beyond the left edge is not estimated: a border makes room for it.
             grey = [
                 cv2.copyMakeBorder(
                     (255 * image[:3].mean(0)).round().byte().numpy(), 0, 0, levels, 0, cv2.BORDER_REPLICATE
                 )
-                for image in both
+                for image in images
             ]
             frames.append(torch.from_numpy(matcher.compute(*grey)[:, levels:]).float() / 16)
         disparity = torch.stack(frames)

@@ -211,8 +211,8 @@ def save_measurements(folder: Path, rows: Sequence[Measurement], facts: Mapping[
     """Write all comparisons as ``speed.md`` and ``speed.json``."""
     text = [", ".join(f"{key} {value}" for key, value in facts.items() if value) + "\n"]
     for title, group in groupby(rows, lambda row: row.title):
-        own = list(group)
-        text += [f"### {title}\n", comparison_table(own)._replace(title=own[0].note).markdown()]
+        measured = list(group)
+        text += [f"### {title}\n", comparison_table(measured)._replace(title=measured[0].note).markdown()]
     write_bytes(folder / "speed.md", "\n".join(text).encode())
     write_json(folder / "speed.json", {"machine": dict(facts), "rows": [row._asdict() for row in rows]})
     return [folder / "speed.md", folder / "speed.json"]

@@ -43,12 +43,12 @@ def network(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
         }
         runs = {stage: ways(run, config.options, device) for stage, run in stages.items()}
         steps = training_steps(net, images, tables, config.options, device)
-        for title, own in (runs | {"one training step, without the optimiser": steps}).items():
-            yield Comparison(f"{label}: {title}", own)
-        for title, own in {"inference": runs["whole inference"], "training": steps}.items():
+        for title, by_way in (runs | {"one training step, without the optimiser": steps}).items():
+            yield Comparison(f"{label}: {title}", by_way)
+        for title, by_way in {"inference": runs["whole inference"], "training": steps}.items():
             yield Comparison(
                 f"{label}: memory that {title} adds",
-                {name: partial(added_memory, run, device) for name, run in own.items()},
+                {name: partial(added_memory, run, device) for name, run in by_way.items()},
                 "Peak above the memory of network, images and tables.",
                 "MB",
             )
@@ -129,13 +129,13 @@ def convolutions(config: DictConfig, device: torch.device) -> Iterator[Compariso
         (nn.Conv3d, HexConv3d, CrownConv3d),
     )
     for level, channels in config.convolution_settings:
-        for own, batch, depth, (planar, hexagonal, crown) in (
+        for size, batch, depth, (planar, hexagonal, crown) in (
             (level, 1, (), layers[0]),
             (level - 2, 2, (16,), layers[1]),
         ):
-            if own < 0:
+            if size < 0:
                 continue
-            vertices, rows = num_icosphere_vertices(own), 2 ** (own + 1)
+            vertices, rows = num_icosphere_vertices(size), 2 ** (size + 1)
             values = torch.randn(batch, channels, *depth, vertices, device=device)
             # as many pixels as there are vertices but the poles
             image = torch.randn(batch, channels, *depth, rows, 5 * rows // 2, device=device)

@@ -52,8 +52,8 @@ class StudyModel:
         home = folder / "models" / self.name
         runs = [(*self.words(config), f"seed={seed}") for seed in config.seeds]
         return [
-            Training(self.name, seed, home / f"seed{seed}", own, training_config(own))
-            for seed, own in zip(config.seeds, runs, strict=True)
+            Training(self.name, seed, home / f"seed{seed}", words, training_config(words))
+            for seed, words in zip(config.seeds, runs, strict=True)
         ]
 
     def methods(self, config: DictConfig, trainings: Sequence[Training]) -> list[Method]:

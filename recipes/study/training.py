@@ -134,6 +134,6 @@ def command_lines(seeds: Sequence[Training]) -> list[list[str]]:
 def differences(trainings: Sequence[Training]) -> list[str]:
     """Sentences about settings of data and trainer that differ between models, which then compare unfairly."""
     settings = [training.settings for training in trainings]
-    keys = {key: None for own in settings for key in own if key.startswith(("data.", "trainer."))}
-    values = {key: sorted({str(own.get(key)) for own in settings}) for key in keys}
+    keys = {key: None for each in settings for key in each if key.startswith(("data.", "trainer."))}
+    values = {key: sorted({str(each.get(key)) for each in settings}) for key in keys}
     return [f"{key} differs between models: {', '.join(v)}" for key, v in values.items() if len(v) > 1]

@@ -89,8 +89,8 @@ def train_stages(config: DictConfig, folder: Path) -> float:
 
 def stage_of(name: str, hours: float, folder: Path) -> Stage:
     """A stage with the words of this command line."""
-    own = [word for word in HydraConfig.get().overrides.task if not word.startswith(OF_STAGES)]
-    overrides = [f"experiment={name}", *own, f"paths.stages={folder}", "resume=auto"]
+    words = [word for word in HydraConfig.get().overrides.task if not word.startswith(OF_STAGES)]
+    overrides = [f"experiment={name}", *words, f"paths.stages={folder}", "resume=auto"]
     config = compose("train", overrides)
     if config.result is None:
         raise ArgumentError(

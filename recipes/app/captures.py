@@ -195,7 +195,7 @@ class PosedCapture(Capture):
     def placement(self, rig: CameraRig) -> Tensor:
         """``(4, 4)``, from the frame of the calibration to that in which its rig is used: upright, or the poses'."""
         base = torch.eye(4) if self.frame is None else read_pose(self.frame, "frame")
-        if self.poses is not None:
+        if self.poses is not None:  # which say what is up
             return base
         rotation = OPTICAL_FROM_ROS if self.frame else upright_turn(self.upwards, rig.world_from_camera)
         return rotation.to(base) @ base

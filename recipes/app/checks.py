@@ -205,7 +205,8 @@ def check_node(config: Any, where: str, passed: Sequence[str] = ()) -> None:
         ) from error
     try:
         parameters = inspect.signature(target).parameters
-        fields = "__dataclass_fields__" in vars(target)  # inherited ones are hinted where they stand
+        # A dataclass hints its fields, those of its parents where they stand; other classes what they are made of.
+        fields = "__dataclass_fields__" in vars(target)
         hinted = target.__init__ if inspect.isclass(target) and not fields else target
         hints = get_type_hints(hinted, include_extras=True)
     except (TypeError, ValueError, NameError):  # built in C, or hints that only a type checker sees

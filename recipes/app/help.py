@@ -68,7 +68,7 @@ class Key(NamedTuple):
 
 def read_keys(text: str) -> Iterator[Key]:
     """Keys of a YAML file, in their order, those that hold further keys included."""
-    path: list[tuple[int, str]] = []
+    path: list[tuple[int, str]] = []  # indentation and name of each key that the line is within
     for line in re.sub(r"^defaults:\n(?: +.*\n|\n)*", "", text, flags=re.M).splitlines():
         if match := re.match(r"^( *)([\w/]+): *(.*?)(?:(?:^| +)# (.*))?$", line):
             depth = len(match[1])

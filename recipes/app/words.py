@@ -85,6 +85,7 @@ def quote_paths(words: list[str]) -> list[str]:
             try:
                 parser.parse_override(f"{key}={value}").value()
             except HydraException:
+                # In front of a quote, and at the end, Hydra reads two backslashes as one; elsewhere they stay.
                 escaped = re.sub(r"(\\*)('|$)", lambda end: end[1] * 2 + (r"\'" if end[2] else ""), value)
                 value = f"'{escaped}'"
             text = f"{key}={value}"

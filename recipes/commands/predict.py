@@ -118,6 +118,7 @@ def predict(config: PredictConfig, folder: Path) -> list[Path]:
     calibrated = source.source if isinstance(source, Moving) else source  # whose rig all frames have
     placement = config.capture.placement(calibrated.rig)
     calibrated.rig = placed(calibrated.rig, placement)
+    # Masks and fields of view that the images add follow from them, and are no settings of their own.
     basis = identities(config, source.rig)
     config.capture.restrict(calibrated)
     warn_if_lying(config, source.rig)

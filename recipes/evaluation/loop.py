@@ -112,6 +112,7 @@ def evaluate(
         ]
         for method in methods
     }
+    # A frame is made once for all methods: to render it takes longer than most of them.
     remaining = [name for name in frames.names if any(name in names for names in missing.values())]
     try:
         for names, batch in frames.batches(remaining) if remaining else ():

@@ -19,7 +19,7 @@ from sphericalvision.recipes.evaluation.tables import Cell, Table
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import inverse_depth_from_index
 
-MOST = 256.0
+MAX_DEPTH = 256.0
 """Metres that maps of depth can hold; estimates beyond count as this."""
 STEPS = 4
 COLUMNS = (("depth", "MAE", "m"), ("depth", "RMSE", "m"), ("depth", "MARE", "1"), ("depth", "LRCE", "m"))
@@ -70,7 +70,8 @@ def depth_off_center(answer: Answer, frame: int, rays: Tensor, offset: Tensor, s
     for _ in range(STEPS):
         # The estimate where the ray is, and where the ray is at that distance from the centre.
         index = alone.index_at(towards, scale)[0][0]
-        distance = 1 / inverse_depth_from_index(index, *scale).clamp(min=1 / MOST)
+        distance = 1 / inverse_depth_from_index(index, *scale).clamp(min=1 / MAX_DEPTH)
+        # |offset + depth * ray| = distance, solved for the depth
         depth = (along.square() - offset.square().sum() + distance.square()).clamp(min=0).sqrt() - along
         towards = F.normalize(offset + depth[:, None] * rays, dim=-1)
     return depth

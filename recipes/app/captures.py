@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Captures as commands name them: calibration, cameras and masks as one value, and what is said of them."""
+"""Captures as commands name them: calibration, cameras and masks as one value, and what commands print of them."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ from sphericalvision.recipes.app.rigs import Calibration, keys_named, names_of
 from sphericalvision.sphere.intake import as_photographs
 
 AUTO = "auto"
-"""In place of a pattern of masks: those of the rig's own body, found in the frames."""
+"""Masks in place of a pattern: those of the rig's own body, found in the frames."""
 FIELD = re.compile(r"\{(camera|frame)[^{}]*\}")
-"""Of a pattern; other braces are part of a name."""
+"""Fields of a pattern; other braces are part of a name."""
 FLOOR = "floor"
-"""In place of an axis that points up: what the depth of the frames shows below."""
+"""Up in place of an axis: away from the floor that the depth of the frames shows."""
 PANORAMA = "equirectangular"
-"""In place of a calibration file: images are whole panoramas of any size."""
+"""Calibration in place of a file: images are whole panoramas of any size."""
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -138,7 +138,7 @@ class Capture(Calibration):
 
 @dataclasses.dataclass(eq=False, repr=False, kw_only=True)
 class CaptureFields:
-    """The keys of a capture that data modules have beside their own."""
+    """Keys of a capture that data modules have next to their own."""
 
     images: Text
     calibration: Text | None = None
@@ -338,7 +338,7 @@ def cut_to_visible(source: Source, max_angle_deg: float | None) -> None:
 
 
 def with_own_body_masked(rig: CameraRig, frames: Iterable[Mapping[str, Tensor]]) -> CameraRig:
-    """The rig with masks of its own body, of which a line for each camera is printed."""
+    """The rig with masks of its own body; prints a line for each camera."""
     from sphericalvision.capture import find_own_body
 
     body = find_own_body(rig, frames)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trainings that start from checkpoints, and what is wrong with those that do not fit."""
+"""Trainings that start from checkpoints, and errors that say why one does not fit."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ NEEDED = (
     "tensorboard",
     "sklearn",
 )
-"""What the extra ``recipes`` brings."""
+"""Packages that the extra ``recipes`` brings."""
 
 
 class Command:
@@ -45,7 +45,7 @@ class Command:
         self.task = task or f"commands.{name}:{name}"
 
     def __call__(self, words: Sequence[str] | None = None) -> None:
-        """Do what the command does with some words, those of the command line if not given."""
+        """Run the command with some words, those of the command line if not given."""
         try:
             from sphericalvision.recipes.app.running import run_command
 

@@ -11,7 +11,7 @@ from annotated_types import Ge, Gt, Le, MinLen
 from pydantic import ConfigDict, Field, Strict
 
 STRICT = ConfigDict(strict=True)
-"""For dataclasses of keys: types are exact, no text for a number, no boolean for an integer."""
+"""Configuration of dataclasses of keys: types are exact, no text for a number, no boolean for an integer."""
 
 Count = Annotated[int, Ge(1)]
 Number = Annotated[int, Ge(0)]

@@ -46,7 +46,7 @@ def make_panorama_ring(
     radius: float = 0.2,
     image_size: Size = (256, 512),
 ) -> CameraRig:
-    """Cameras that see all around, posed as those of ``make_ring``: their images are equirectangular panoramas.
+    """Cameras that see all around, in the poses of ``make_ring``: their images are equirectangular panoramas.
 
     Examples:
         >>> make_panorama_ring(2, radius=0.1)

@@ -21,7 +21,7 @@ from omegaconf import DictConfig, OmegaConf
 
 SHORT = {"--help": ("-h",), "--multirun": ("-m",), "--shell-completion": ("-sc",), "--run": ("-r",)}
 INFO = ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")
-"""What Hydra's ``--info`` prints."""
+"""Choices of Hydra's ``--info``."""
 
 
 def read_words(words: list[str], fail: Callable[[str], NoReturn]) -> argparse.Namespace:

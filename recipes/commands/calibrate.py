@@ -63,7 +63,7 @@ MAX_PICTURES = 5
 
 
 class Moment(NamedTuple):
-    """Pictures of one moment: camera -> what to call its picture, and the picture, ``(3, h, w)`` in [0, 1]."""
+    """Pictures of one moment: camera -> name of its picture, and the picture, ``(3, h, w)`` in [0, 1]."""
 
     labels: Mapping[str, str]
     images: Mapping[str, Tensor]
@@ -73,7 +73,7 @@ class Pictures(NamedTuple):
     """Corners on all pictures, by moment and camera."""
 
     labels: list[Mapping[str, str]]
-    """Of each moment: camera -> what to call its picture."""
+    """By moment: camera -> name of its picture."""
     sizes: dict[str, tuple[int, int]]
     pixels: Tensor
     """(n, cameras, m, 2)."""
@@ -250,7 +250,7 @@ def _read(moments: Iterable[Moment], names: list[str], board: Board) -> Pictures
 
 
 def _report(result: RefinedRig, pictures: Pictures) -> None:
-    """Errors by picture and over each image, what is not covered, and where cameras are."""
+    """Print errors by picture and over each image, parts without corners, and poses of the cameras."""
     used = result.residuals.abs().sum(-1) > 0
     squares = result.residuals.square().sum(-1)
     errors = (squares.sum(-1) / used.sum(-1)).sqrt()  # nan where there is no board

@@ -211,7 +211,7 @@ def open_frames(config: PredictConfig) -> Source:
 
 
 def warn_if_lying(config: PredictConfig, rig: CameraRig) -> None:
-    """Print a warning where the cameras' mean down is far from the world's, in which panoramas lie on their side."""
+    """Print a warning where the cameras' mean down is far from the world's: panoramas would lie on their side."""
     tilt, capture = tilt_of(rig), config.capture
     if tilt is None or tilt < LYING:
         return

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A capture without truth as training data: what a trained network and a sweep say of it is what is learned."""
+"""A capture without truth as training data: a trained network and a sweep give the depth that is learned."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ COLORLESS = 0.01
 
 
 class LabelledFrame(NamedTuple):
-    """A frame, its images as uint8 ``(3, h, w)`` by camera name, and what is taken for its depth."""
+    """A frame, its images as uint8 ``(3, h, w)`` by camera name, and its pseudo-labels."""
 
     name: str
     images: dict[str, Tensor]
@@ -240,10 +240,10 @@ class Disturbed(NamedTuple):
 
 
 class CaptureSamples(Dataset[Sample]):
-    """Frames on the icosphere, as they are, or with faults and made ready anew, and scenes in their place.
+    """Frames on the icosphere, as they are, or with faults and preprocessed again, and scenes in their place.
 
     Args:
-        frames: with what is taken for their depth.
+        frames: with their pseudo-labels.
         rig: of their images.
         level: of the icosphere that carries images.
         disturbed: how frames are changed; as they are when not given.

@@ -26,7 +26,7 @@ Loader: TypeAlias = "DataLoader[Sample] | list[DataLoader[Sample]]"
 
 
 class TrainingStream(Dataset[Sample]):
-    """A data set shuffled anew in every round, as one endless sequence whose order is known beforehand.
+    """A data set shuffled again in every round, as one endless sequence whose order is known beforehand.
 
     What stands at a position, augmentation included, depends on the seed and the position alone: not on the
     number of workers, and not on whether training was interrupted before.
@@ -42,7 +42,7 @@ class TrainingStream(Dataset[Sample]):
         self._order: list[int] = []
 
     def index_at(self, position: int) -> int:
-        """Index of the sample that stands at a position."""
+        """Index of the sample at a position."""
         size = len(self.dataset)  # type: ignore[arg-type]
         shuffle, offset = divmod(position, size)
         if shuffle != self._round:
@@ -251,7 +251,7 @@ class SampleDataModule:
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class PreparedSamples(SampleDataModule):
-    """Samples of which each has a rig of its own, and whose images are made ready.
+    """Samples that each have their own rig, and whose images are preprocessed.
 
     Batches of training hold samples of as many cameras each; what is validated or tested comes one by one.
     """

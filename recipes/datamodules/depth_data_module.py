@@ -15,7 +15,7 @@ from sphericalvision.scenes.world import NATURAL_MIN_DEPTH
 
 Entry = Literal["sphere", "depth", "fisheye", "panorama"]
 Entries = Annotated[Sequence[Entry], MinLen(1)] | None
-"""What samples hold, in place of what the network takes: images and depth on the icosphere, depth there alone, images
+"""Contents of samples, in place of what the network takes: images and depth on the icosphere, depth there alone, images
 of the cameras, a panorama of depth."""
 
 

@@ -136,7 +136,7 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
             )
 
     def training_seeds(self) -> dict[str, tuple[int, int]]:
-        """Number and first seed of the training samples, of each level those of its own."""
+        """Count and first seed of the training samples, by level if there are several."""
         if self.levels is None:
             return super().training_seeds()
         return {
@@ -199,7 +199,7 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
         super().prepare_data()
 
     def _check_space(self, folder: Path) -> None:
-        """Compare the size of all samples with what they may take, and that of the missing ones with the disk."""
+        """Compare the size of all samples with its bound, and the size of missing ones with the disk."""
         size = self.cache_bytes
         fewer = f"set fewer samples ({'data.num_train' if self.levels is None else 'data.levels'})"
         if size > self.cache_gb * 1e9:
@@ -232,7 +232,7 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
         )
 
     def _sample_bytes(self, level: int) -> int:
-        """Size of a sample of the most cameras, without compression: images, what is seen of them, depth, clues."""
+        """Size of a sample of the most cameras, without compression: images, their masks, depth, clues."""
         cameras = max(4 if self.world["level_rigs"] else 0, *self.num_cameras)
         size = num_icosphere_vertices(level) * (cameras * (3 + 1) + 4)
         if self.view.images:
@@ -258,7 +258,7 @@ class RandomRigDataModule(PreparedSamples, RenderedDataModule):
 
     @property
     def batch_sizes(self) -> int | Callable[[Any], int]:
-        """Samples in a training batch: those of its level."""
+        """Samples in a training batch, by level if there are several."""
         levels = self.levels
         return self.batch_size if levels is None else lambda group: levels[group[0]]["batch_size"]
 

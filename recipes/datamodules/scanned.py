@@ -107,7 +107,7 @@ class Deep360DataModule(ScannedDataModule):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class _SequencesDataModule(ScannedDataModule):
-    """A set that has no splits of its own."""
+    """A set without splits: sequences are named for each."""
 
     root: Text
     train: Sequences = None

@@ -98,7 +98,7 @@ def benchmark(config: BenchmarkConfig, folder: Path) -> Results:
 def benchmark_tables(
     results: Results, tracks: Sequence[Track], level: int, max_depth: Limit = "auto"
 ) -> dict[str, Table]:
-    """The tables by their headings; that of tilts only where there are such tracks."""
+    """The tables by their headings; a table of tilts only where there are such tracks."""
     levels = {"coarse": f"level {level - 2}", "fine": f"level {level}", "limit": limit_text(max_depth)}
     tables = {
         heading.format(**levels): results.by_method(title.format(**levels), "track", path, digits)

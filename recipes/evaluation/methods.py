@@ -274,7 +274,7 @@ def check_names(methods: Sequence[Method]) -> None:
 
 
 def make_method(word: str, level: int = 6, scale: Scale = SCALE, folder: Path | None = None) -> Method:
-    """The method that a word stands for.
+    """The method that a word names.
 
     Args:
         word: "constant", "winner-takes-all", "semi-global-sweep", "rectified-sgbm", the name of weights that ship, or a

@@ -17,7 +17,7 @@ from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import depth_from_index, index_from_inverse_depth, inverse_depth_from_index
 
 ZONE = math.radians(30)
-"""Latitude that divides what is around from what is above and below."""
+"""Latitude between the zone around the horizon and those above and below."""
 
 
 class Truth(NamedTuple):

@@ -85,7 +85,7 @@ class Results(NamedTuple):
         return Table(about, (heading, *(method.label for method in self.methods)), rows)
 
     def against(self, title: str, path: str, sets: Mapping[str, str]) -> Table:
-        """A row for each model: its error on each set, and its ratio to that of the same seed on the first set."""
+        """A row for each model: its error on each set, and the ratio to the error of the same seed on the first set."""
         first, *others = sets
         rows: list[Row] = []
         for label in self.labels:

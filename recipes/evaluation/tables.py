@@ -89,7 +89,7 @@ class Table(NamedTuple):
         return "\n".join([*lines, *(["", self.title] if self.title else []), ""])
 
     def csv(self) -> str:
-        """Numbers with six digits; standard deviations have a column next to that of their means."""
+        """Numbers with six digits; standard deviations have a column next to their means."""
         means = [[cell.mean if isinstance(cell, Cell) else cell for cell in row] for row in self.rows]
         spreads = [[cell.spread if isinstance(cell, Cell) else None for cell in row] for row in self.rows]
         file = io.StringIO()

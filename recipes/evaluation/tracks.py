@@ -128,7 +128,7 @@ GROUPS = tuple(dict.fromkeys(track.group for track in TRACKS.values()))
 
 
 def chosen_tracks(words: Sequence[str], meshes: Sequence[str] = ()) -> list[Track]:
-    """The tracks that names, or names of groups, stand for, in the order of the table; ``"all"`` is every one.
+    """The tracks of some names, or names of groups, in the order of the table; ``"all"`` is every one.
 
     A disturbance of one's own, of ``register_disturbance``, is a track by its name, at amounts of 0.5 to 1.
 

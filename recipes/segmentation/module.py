@@ -31,5 +31,5 @@ class SegmentationModule(OrientationModule):
         )
 
     def percent(self, score: Metric) -> Tensor:
-        """Its mean IoU."""
+        """Mean IoU of a score."""
         return 100 * score.compute()["mIoU"]  # type: ignore[no-any-return]

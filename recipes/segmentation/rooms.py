@@ -24,7 +24,7 @@ from sphericalvision.sphere import SphereGrid
 from sphericalvision.sphere.intake import signed
 
 ORIENTATIONS = {"upright": 0.0, "tilted_15": 15.0, "tilted_45": 45.0, "tilted_90": 90.0, "rotated": None}
-"""Degrees by which what is seen is tilted, about a horizontal axis of a random azimuth; None: any rotation."""
+"""Degrees by which a room is tilted, about a horizontal axis of a random azimuth; None: any rotation."""
 
 
 def orientation_rotation(orientation: str, seed: int) -> Tensor:

@@ -48,7 +48,7 @@ FIRST_CALLS = 3
 
 
 def busy(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
-    """A frame of a ``Predictor`` on idle cores, beside a busy process for each core, and on one core."""
+    """A frame of a ``Predictor`` on idle cores, next to a busy process for each core, and on one core."""
     del device  # threads are those of a CPU
     side = max(config.image_sides)
     for condition, cores, load in (

@@ -46,7 +46,7 @@ class StudyModel:
         return (*config.training, *(self.train or ()), *config.extra_training)
 
     def trainings(self, config: DictConfig, folder: Path) -> list[Training]:
-        """Its trainings, one for each seed; none where it is not trained."""
+        """Trainings of the model, one for each seed; none where it is not trained."""
         if self.kind != "depth_network" or self.train is None or self.checkpoint is not None:
             return []
         home = folder / "models" / self.name
@@ -88,7 +88,7 @@ def median(config: DictConfig, training: DictConfig) -> DepthNetwork:
 
 
 def network(word: str, config: DictConfig) -> DepthNetwork:
-    """The network that a word of ``make_method`` stands for, at the study's level and nearest depth."""
+    """The network that a word names as for ``make_method``, at the study's level and nearest depth."""
     net = make_method(word, config.model.level, scale_of(config)).net
     return net.with_changes(level=config.model.level if net.images == "sphere" else None)
 

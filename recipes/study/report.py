@@ -50,7 +50,7 @@ WHERE: tuple[Column, ...] = (
 
 
 def study_tables(results: Results, config: DictConfig, views: list[View]) -> dict[str, Table]:
-    """All tables by the names of their files; that of inputs where there are equirectangular ones.
+    """All tables by the names of their files; the table of inputs where there are equirectangular ones.
 
     * ``table``: the paper's, ``>1 >3 >5 MAE RMS`` of each model at each angle;
     * ``change``: MAE at each angle, and over the MAE of the same seed at the first;

@@ -28,7 +28,7 @@ class View(NamedTuple):
 
     @property
     def name(self) -> str:
-        """For file names."""
+        """Name of the view in files."""
         return f"{self.inputs}-{self.angle_deg:g}deg"
 
 

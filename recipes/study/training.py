@@ -46,7 +46,7 @@ class Training(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Its name in messages."""
+        """Name of the training in messages."""
         return f"{self.model}, seed {self.seed}"
 
     @property
@@ -66,7 +66,7 @@ class Training(NamedTuple):
 
     @property
     def is_done(self) -> bool:
-        """Whether it reached its end with these settings: its last table exists."""
+        """True if it reached its end with these settings: its last table exists."""
         ends = (self.folder / "validation.json", self.weights)
         return all(path.is_file() for path in ends) and not self.changes
 

@@ -19,7 +19,7 @@ from sphericalvision.recipes.training.schedule import progress_only
 
 
 def name_of(net: Any) -> str:
-    """The registered name of a network, or that of its class."""
+    """The registered name of a network, or the name of its class."""
     try:
         return network_name(net)
     except ArgumentError:
@@ -90,7 +90,7 @@ class TrainingModule(pl.LightningModule):
         checkpoint["lr_schedulers"] = [progress_only(state) for state in states]
 
     def on_train_batch_start(self, batch: Any, batch_idx: int) -> None:
-        """Seed what is drawn at random inside the step from its number alone."""
+        """Seed the random draws inside the step by its number alone."""
         torch.manual_seed(self.seed * 1_000_003 + self.global_step)
 
     def on_before_optimizer_step(self, optimizer: Optimizer) -> None:

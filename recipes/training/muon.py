@@ -16,7 +16,7 @@ from torch.optim import AdamW, Optimizer
 from sphericalvision.core import ArgumentError
 
 COEFFICIENTS = (3.4445, -4.7750, 2.0315)
-"""Of the polynomial x (a + b x² + c x⁴), which takes small x away from 0 fast, and leaves it within 0.7 and 1.2."""
+"""A polynomial, x (a + b x² + c x⁴), that takes small x away from 0 fast, and leaves it within 0.7 and 1.2."""
 ITERATIONS = 5
 """Applications of the polynomial; they take all from a few thousandths on there."""
 SIZE = 5.0

@@ -94,7 +94,7 @@ class OrientedDataModule(SampleDataModule):
     num_test: Count = 60
 
     orientations: ClassVar[Iterable[str]]
-    """All that there are."""
+    """Orientations of validation and test."""
 
     def __post_init__(self) -> None:
         check_choice("data.orientation", self.orientation, tuple(self.orientations))

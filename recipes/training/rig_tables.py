@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sweep tables of the rigs met so far: making them anew costs as much as a tenth of a training step."""
+"""Sweep tables of the rigs met before: making them again costs as much as a tenth of a training step."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class RigTables:
 
 
 def stacked_tables(parts: Sequence[Any]) -> Any:
-    """Tables of single rigs as those of a batch; as they are if all are the same.
+    """Stack the tables of single rigs as tables of a batch; as they are if all are the same.
 
     Raises:
         ArgumentError: they differ in something that a batch has once, such as the size of images.

@@ -198,7 +198,7 @@ def best_checkpoint(trainer: pl.Trainer, module: TrainingModule, loaders: Loader
 
 
 class WeightsBesideCheckpoint(TorchCheckpointIO):
-    """Lightning's checkpoints, and beside each ``.ckpt`` a depth network's weights alone as ``.safetensors``.
+    """Lightning's checkpoints, and next to each ``.ckpt`` a depth network's weights alone as ``.safetensors``.
 
     Either file appears whole or not at all, so an interruption while saving leaves the previous ones.
     """

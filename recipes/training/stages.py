@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A training in stages: each is an experiment of its own, whose weights the next one starts from."""
+"""A training in stages: each is an experiment whose weights the next one starts from."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def stage_of(name: str, hours: float, folder: Path) -> Stage:
 
 
 def print_plan(stages: list[Stage]) -> None:
-    """Say what is done, and what the others will take of time and disk."""
+    """Print which stages are done, and how much time and disk the others will take."""
     rows = []
     for stage in stages:
         state = "done" if stage.result.is_file() else f"{stage.hours:g}"

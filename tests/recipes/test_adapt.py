@@ -19,7 +19,7 @@ from sphericalvision.recipes.datamodules.capture import CaptureDataModule, rehea
 from sphericalvision.recipes.training.adapt_module import AdaptModule
 from sphericalvision.scenes import WorldSamples
 from sphericalvision.scenes.disturbances import CameraDisturbance
-from tests.recipes.knocked_capture import KNOCKED, write_knocked_capture
+from tests.recipes.test_align import KNOCKED, write_knocked_capture
 from tests.recipes.tiny import Run, composed, typed
 
 TINY = (

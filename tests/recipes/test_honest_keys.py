@@ -121,11 +121,12 @@ MARKED = ("predict", "inspect", "convert", "render", "calibrate", "train", "eval
     [(name, *marked) for name in MARKED for marked in marks_of(keys_of(name)).items()],
 )
 def test_keys_that_do_not_count_are_refused(name: str, key: str, mark: OnlyWith) -> None:
-    words = {"predict": ["min_depth=1", "outputs=[npz]"], "calibrate": ["to=pinhole"]}.get(
-        name, ["data=omnihouse"]
-    )
-    words = words if name in ("predict", "calibrate", "train", "evaluate", "study") else []
-    config = composed(name, *words)
+    words: dict[str, tuple[str, ...]] = {
+        "predict": ("min_depth=1", "outputs=[npz]"),
+        "calibrate": ("to=pinhole",),
+    }
+    words |= dict.fromkeys(("train", "evaluate", "study"), ("data=omnihouse",))
+    config = composed(name, *words.get(name, ()))
     message = unused_key(keys_of(name), config, [key])
     assert message is not None
     assert message.startswith(f"{key}: counts only with {(mark.remedy or mark.needed).partition('|')[0]}")

@@ -16,7 +16,7 @@ STRICT = ConfigDict(strict=True)
 Count = Annotated[int, Ge(1)]
 Number = Annotated[int, Ge(0)]
 Positive = Annotated[float, Gt(0), Le(sys.float_info.max)]
-Share = Annotated[float, Ge(0), Le(1)]
+Fraction = Annotated[float, Ge(0), Le(1)]
 
 Distance = Annotated[float, Gt(0)]
 """Metres; infinity is one."""

@@ -59,7 +59,7 @@ def align(config: AlignConfig) -> RigTurns:
 
 
 def _print(rig: CameraRig, result: RigTurns, frames: Sequence[Mapping[str, Tensor]]) -> None:
-    """A row for each camera: its turn, how much of its view others share, exposure, resolution, what to do."""
+    """Print a row for each camera: its rotation, overlap with others, exposure, resolution, and what to do."""
     light = calibrate_photometry(
         rig, {name: torch.stack([frame[name] for frame in frames]) for name in rig.names}
     )
@@ -67,22 +67,22 @@ def _print(rig: CameraRig, result: RigTurns, frames: Sequence[Mapping[str, Tenso
     seen = rig.project_along(directions, directions.new_zeros(1)).valid[:, 0]
     rows = []
     for index, (name, camera) in enumerate(rig.cameras.items()):
-        turn, spread = (
+        angle, spread = (
             math.degrees(float(values[index])) for values in (result.turns.norm(dim=-1), result.spread)
         )
         pixels = seen[index]
         shared = float((pixels & (seen.sum(0) > 1)).sum() / pixels.sum().clamp(min=1))
         exposure = float(light.exposure[index].mean().exp())
         resolution = math.radians(pixels_a_radian(camera))
-        doubtful = result.reason and (turn + 2 * spread >= math.degrees(result.within) - 1e-6)
-        what = "turn" if name in result.turned else "look" if doubtful else ""
+        doubtful = result.reason and (angle + 2 * spread >= math.degrees(result.within) - 1e-6)
+        advice = "turn" if name in result.turned else "look" if doubtful else ""
         numbers = (
-            f"{turn:.2f}",
+            f"{angle:.2f}",
             f"{2 * spread:.2f}",
             f"{100 * shared:.0f} %",
             f"{exposure:.2f}",
             f"{resolution:.1f}",
         )
-        rows.append([name, *numbers, what])
+        rows.append([name, *numbers, advice])
     header = ["camera", "turned (°)", "± (°)", "shared", "light", "pixels/°", "do"]
     print_table("the calibration, as images see it", header, rows)

@@ -26,7 +26,7 @@ from sphericalvision.models import DepthNetwork
 from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.recipes.app.captures import with_own_body_masked
 from sphericalvision.recipes.app.cli import build, choose_device, print_config
-from sphericalvision.recipes.app.kinds import STRICT, Device, Number, OnlyWith, Positive, Share, Text
+from sphericalvision.recipes.app.kinds import STRICT, Device, Fraction, Number, OnlyWith, Positive, Text
 from sphericalvision.recipes.datamodules.data_module import SampleDataModule
 from sphericalvision.recipes.datamodules.depth_data_module import DepthDataModule
 from sphericalvision.recipes.evaluation.loop import (
@@ -65,7 +65,7 @@ class EvaluateKeys(TypedDict, total=False):
     methods: list[str]
     model: Any
     masks: Literal["auto"] | None
-    min_confidence: Share
+    min_confidence: Fraction
     max_depth_m: Positive | Literal["auto"]
     device: Device
     seed: Number

@@ -49,7 +49,7 @@ from sphericalvision.recipes.app.cli import (
     read_settings,
     say,
 )
-from sphericalvision.recipes.app.kinds import STRICT, Count, Device, OnlyWith, Positive, Share, Text
+from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Fraction, OnlyWith, Positive, Text
 from sphericalvision.sphere.intake import as_photographs
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ class PredictConfig:
     outputs: list[str] | None
     height: Count
     near: Positive | None
-    min_confidence: Annotated[Share, WITH_SURFACE]
+    min_confidence: Annotated[Fraction, WITH_SURFACE]
     voxel: Annotated[Positive | None, WITH_POINTS]
     output: Text
     skip_existing: bool

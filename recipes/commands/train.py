@@ -22,7 +22,7 @@ from typing_extensions import TypedDict
 from sphericalvision.core import ArgumentError, check_file
 from sphericalvision.models import load_weights, save_weights
 from sphericalvision.recipes.app.cli import build, print_config
-from sphericalvision.recipes.app.kinds import STRICT, Count, Number, OnlyWith, Positive, Share, Text
+from sphericalvision.recipes.app.kinds import STRICT, Count, Fraction, Number, OnlyWith, Positive, Text
 from sphericalvision.recipes.app.words import evaluate_command, resume_command
 from sphericalvision.recipes.datamodules.data_module import SampleDataModule
 from sphericalvision.recipes.evaluation.tables import save_errors
@@ -49,7 +49,7 @@ TrainerKeys = TypedDict(  # noqa: UP013 (Lightning has these names, this file ha
         | None,
         "val_check_interval": Count,
         "check_val_every_n_epoch": None,
-        "limit_val_batches": Count | Share | None,
+        "limit_val_batches": Count | Fraction | None,
         "num_sanity_val_steps": Annotated[int, Ge(-1)],
         "accelerator": Literal["auto", "cpu", "gpu", "cuda", "mps", "tpu"],
         "devices": Literal["auto", -1]
@@ -60,7 +60,7 @@ TrainerKeys = TypedDict(  # noqa: UP013 (Lightning has these names, this file ha
         "use_distributed_sampler": Literal[False],
         "accumulate_grad_batches": Count,
         "gradient_clip_val": Annotated[float, Ge(0)] | None,
-        "overfit_batches": Number | Share,
+        "overfit_batches": Number | Fraction,
         "log_every_n_steps": Number,
         "profiler": Literal["simple", "advanced", "pytorch"] | dict[str, Any] | None,
     },

@@ -33,7 +33,7 @@ from sphericalvision.recipes.app.captures import (
     with_own_body_masked,
 )
 from sphericalvision.recipes.app.cli import console
-from sphericalvision.recipes.app.kinds import Count, Number, Positive, Share
+from sphericalvision.recipes.app.kinds import Count, Fraction, Number, Positive
 from sphericalvision.recipes.datamodules.data_module import PreparedSamples, Sample
 from sphericalvision.scenes import World, WorldSamples
 from sphericalvision.scenes.cache import decode, encode
@@ -63,7 +63,7 @@ def rehearsed_world(
 
     Args:
         rig: in metres in which 0.55 is the nearest hypothesis, its images not larger than needed.
-        grey: share of samples without colour.
+        grey: fraction of samples without colour.
         preparation: of the disturbed images, as they are made ready in use.
         values: arguments of ``World``, as in ``conf/world/rehearsal.yaml``.
     """
@@ -98,7 +98,7 @@ class CaptureDataModule(CaptureFields, PreparedSamples):
     held_out_every: Annotated[int, Ge(2)] = 5
     min_depth: Positive | Literal["auto", "scene"] = "auto"
     trained_radius: Positive = 0.2
-    rendered: Share = 0.5
+    rendered: Fraction = 0.5
     rendered_seed: Number = 5_000_000
 
     has_truth = False
@@ -228,14 +228,14 @@ class Disturbed(NamedTuple):
         faults: of the cameras, others each time.
         preparation: of the disturbed images.
         scenes: that stand in the place of frames, if any.
-        share: of the time that they do.
+        fraction: of the samples that are scenes.
         scale: metres of the frames in one of the scenes.
     """
 
     faults: RandomFaults
     preparation: Preparation
     scenes: WorldSamples | None
-    share: float
+    fraction: float
     scale: float
 
 
@@ -265,8 +265,8 @@ class CaptureSamples(Dataset[Sample]):
         if self.disturbed is None:
             entries |= {"correlation": labels.correlation, "correlation_seen": labels.seen}
         else:
-            faults, preparation, scenes, share, scale = self.disturbed
-            if torch.rand(()).item() < share and scenes is not None:
+            faults, preparation, scenes, fraction, scale = self.disturbed
+            if torch.rand(()).item() < fraction and scenes is not None:
                 return self._scene(scenes, scale)
             faulty = faults.draw()({"images": images, "rig": rig})
             rig = faulty["rig"]

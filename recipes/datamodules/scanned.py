@@ -27,7 +27,7 @@ from sphericalvision.data.scanned.scanned_frames import ScannedFrames
 from sphericalvision.data.scanned.spires import SpiresDataset
 from sphericalvision.data.scanned.widedepth import WideDepthDataset
 from sphericalvision.recipes.app.captures import CaptureFields
-from sphericalvision.recipes.app.kinds import Count, Positive, Share, Text
+from sphericalvision.recipes.app.kinds import Count, Fraction, Positive, Text
 from sphericalvision.recipes.datamodules.data_module import Sample
 from sphericalvision.recipes.datamodules.depth_data_module import DepthDataModule, Entries
 
@@ -187,7 +187,7 @@ class OwnScansDataModule(CaptureFields, ScannedDataModule):
     lidar_pose: Text | None = None
     tolerance: Positive = 0.02
     point_columns: Count | None = None
-    val_share: Share = 0.2
+    val_share: Fraction = 0.2
     frames_named: list[int | str] | None = None
 
     def __post_init__(self) -> None:

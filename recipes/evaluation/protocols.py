@@ -92,7 +92,7 @@ class Protocols:
         * ``seam``, ``off_seam``: as ``paper`` within 5° of the seams of charts and panorama, and elsewhere;
         * ``above``, ``around``, ``below``: as ``paper``, over 30° above the horizon, within 30°, over 30° below;
         * ``two``, ``three``, ``four``: as ``paper``, points that two, three, and four or more cameras see;
-        * ``depth``: AbsRel, RMSE in metres and the share within a factor 1.25, over the vertices of ``paper``;
+        * ``depth``: AbsRel, RMSE in metres and the fraction within a factor 1.25, over the vertices of ``paper``;
         * ``points``: percent of the valid vertices left out, and of the others that the model says nothing about.
         """
         num_hypotheses = self.scale.num_hypotheses

@@ -65,7 +65,7 @@ class Results(NamedTuple):
     def by_method(self, title: str, heading: str, path: str, digits: int) -> Table:
         """A row for each set of frames, a column for each method: mean, and its interval of 95 % over frames.
 
-        The best of a row is bold: the least error, or the largest share within a factor.
+        The best of a row is bold: the least error, or the largest fraction within a factor.
         """
         best = max if path.rpartition(" ")[2].startswith("d<") else min
         rows: list[Row] = []

@@ -19,7 +19,7 @@ from pytorch_lightning.loggers import TensorBoardLogger
 from pytorch_lightning.utilities.exceptions import SIGTERMException
 
 from sphericalvision.io.images import write_image
-from sphericalvision.recipes.app.kinds import Count, Number, Positive, Share
+from sphericalvision.recipes.app.kinds import Count, Fraction, Number, Positive
 from sphericalvision.sweep import depth_from_index, inverse_depth_from_index
 from sphericalvision.viz.panorama import depth_to_color, error_to_color
 
@@ -88,7 +88,7 @@ class MovingAverage(WeightAveraging):
     Lightning's ``EMAWeightAveraging`` sends all weights to the host at each step, where a trainer first has them.
     """
 
-    def __init__(self, decay: Share = 0.999) -> None:
+    def __init__(self, decay: Fraction = 0.999) -> None:
         super().__init__()
         self.decay = decay
 

@@ -19,7 +19,7 @@ from sphericalvision.icosphere import level_from_num_vertices
 from sphericalvision.metrics import DepthIndexError
 from sphericalvision.models import DepthNetwork
 from sphericalvision.recipes.app.checkpoints import initialize
-from sphericalvision.recipes.app.kinds import Share
+from sphericalvision.recipes.app.kinds import Fraction
 from sphericalvision.recipes.datamodules.clues import clues_of
 from sphericalvision.recipes.datamodules.entries import images_of, truth_of
 from sphericalvision.recipes.training.module import TrainingModule
@@ -40,7 +40,7 @@ class DepthModule(TrainingModule):
         optimizer: as of ``TrainingModule``, like scheduler, monitor, mode and seed.
         recompute: train in less memory for a third more work; the results are the same.
         learns: what the names of the weights that learn begin with; all learn when not given.
-        hints: share of the samples that a network which takes hints sees with one that is simulated from the truth.
+        hints: fraction of the samples that a network which takes hints sees with one simulated from the truth.
         compile: backend by which ``torch.compile`` makes one program of the loss, which takes minutes for each new
             number of cameras; none when not given.
 
@@ -64,7 +64,7 @@ class DepthModule(TrainingModule):
         recompute: bool = False,
         seed: int = 0,
         learns: Sequence[str] | None = None,
-        hints: Share = 0.35,
+        hints: Fraction = 0.35,
         compile: str | None = None,
     ) -> None:
         super().__init__(net, loss, optimizer, scheduler, monitor, mode, seed)

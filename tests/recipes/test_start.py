@@ -16,6 +16,7 @@ from sphericalvision.recipes.app.rigs import make_ring
 from tests.processes import modules_after, python
 from tests.recipes.tiny import typed, write_capture
 
+PREDICT = "from sphericalvision.recipes.predict import main; main()"
 LIGHTNING = ("pytorch_lightning", "lightning_fabric", "tensorboard", "torch._inductor")
 SCENES = ("skimage", "kornia", "scipy")
 COMMANDS = {
@@ -86,7 +87,7 @@ def test_one_frame_is_predicted_without_what_it_does_not_need(
     words = typed(f"x calibration=rig.yaml images={{camera}}.png checkpoint={weights} output=out height=16")
     words += (f"align={str(align).lower()}",)
     program = f"import os, sys; os.chdir({str(tmp_path)!r}); sys.argv = [*{words}]\n"
-    modules = imported(program + "from sphericalvision.recipes.predict import main; main()")
+    modules = imported(program + PREDICT)
     assert (tmp_path / "out/points.ply").is_file()
     needless = {*COMMANDS["predict"], *BLURS_WITH} - ({*BLURS_WITH} if align else set())
     needless.discard("kornia")  # which turns rotations into matrices
@@ -105,12 +106,7 @@ def test_rooms_of_the_package_are_there_after_a_bare_import() -> None:
 
 
 def test_without_the_recipes_extra_one_line_says_what_to_install() -> None:
-    program = """
-import sys
-sys.modules["omegaconf"] = sys.modules["hydra"] = None
-from sphericalvision.recipes.predict import main
-main()
-"""
+    program = f'import sys; sys.modules["omegaconf"] = sys.modules["hydra"] = None; {PREDICT}'
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert result.returncode == 1
     (line,) = result.stderr.splitlines()
@@ -119,25 +115,20 @@ main()
 
 @pytest.mark.parametrize("redirection", [">&-", "<&- >&- 2>&-", ">/dev/full"])
 def test_an_output_that_takes_nothing_gets_no_traceback(redirection: str) -> None:
-    program = (
-        "import sys; from sphericalvision.recipes.predict import main; sys.argv[1:] = ['--version']; main()"
-    )
-    command = f'{sys.executable} -c "{program}" {redirection}'
+    command = f'{sys.executable} -c "{PREDICT}" --version {redirection}'
     result = subprocess.run(command, shell=True, stderr=subprocess.PIPE, text=True, check=False)
     assert result.returncode == ("full" in redirection)
     assert len(result.stderr.strip().splitlines()) == ("full" in redirection)
 
 
-@pytest.mark.parametrize(
-    "word", ["--help", "--version"]
-)  # more and less than Python holds back before it writes
+@pytest.mark.parametrize("word", ["--help", "--version"])
 def test_a_reader_that_has_read_enough_is_no_fault(word: str) -> None:
-    """``sphericalvision-predict --help | head -1``: the status of a program that a closed pipe ends, and no message."""
-    program = (
-        f"import sys; from sphericalvision.recipes.predict import main; sys.argv[1:] = ['{word}']; main()"
-    )
+    """``sphericalvision-predict --help | head -1``: the status of a program that a closed pipe ends, and no message.
+
+    These are more and less than Python holds back before it writes.
+    """
     with subprocess.Popen(
-        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", PREDICT, word], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
         assert process.stdout is not None
         assert process.stderr is not None

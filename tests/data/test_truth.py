@@ -48,7 +48,7 @@ def scan(scene: Scene, where: Tensor = SCANNER, most: float = 80.0, rays: Tensor
 
 @pytest.mark.parametrize("kind", ["room", "outdoors", "hall"])
 @pytest.mark.parametrize(
-    "onto", [Equirectangular(160, 320), FisheyeCamera.from_field_of_view((200, 200), math.radians(200))]
+    "onto", [Equirectangular(160, 320), FisheyeCamera.from_field_of_view((180, 220), math.radians(200))]
 )
 def test_what_is_kept_is_right_and_most_of_what_is_seen_is_kept(kind: str, onto: object) -> None:
     scene = make_scene(kind, seed=3)
@@ -248,11 +248,21 @@ def test_noise_of_the_scanner_is_tolerated() -> None:
     distance = 3.0 / rays[:, 2]
     noisy = rays * (distance + 0.05 * torch.randn(len(rays), generator=generator))[:, None]
     onto = FisheyeCamera.from_field_of_view((48, 48), 1.0)
-    shares = [
-        float(truth_from_points(noisy, onto, noise=noise).valid.float().mean()) for noise in (0.0, 0.05)
-    ]
-    assert shares[1] > 0.6
-    assert shares[1] > 1.5 * shares[0]
+    none, valid, smaller = (
+        truth_from_points(scale * noisy, onto, noise=scale * noise).valid
+        for scale, noise in ((1, 0.0), (1, 0.05), (0.125, 0.05))
+    )
+    assert valid.float().mean() > 0.6
+    assert valid.sum() > 1.5 * none.sum()
+    assert torch.equal(smaller, valid)  # a smaller world, seen by a better scanner
+
+
+@pytest.mark.parametrize(("hole", "known"), [(0.04, True), (0.06, False)])
+def test_a_pixel_is_known_by_points_within_half_a_gap_of_its_ray(hole: float, known: bool) -> None:
+    x, y = torch.meshgrid(*(torch.linspace(-0.5, 0.5, 201),) * 2, indexing="xy")
+    wall = torch.stack((x, y, torch.ones_like(x)), -1)[torch.hypot(x, y) > hole]
+    truth = truth_from_points(wall, FisheyeCamera.from_field_of_view((3, 3), 0.6), gap=0.1)
+    assert bool(truth.valid[1, 1]) == known
 
 
 def test_planes_so_steep_that_depth_hangs_on_the_pixel_are_not_told() -> None:

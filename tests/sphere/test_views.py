@@ -28,6 +28,7 @@ from sphericalvision.core import ShapeError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.scenes import make_scene, ray_depth
 from sphericalvision.sphere import Equirectangular, Views, views
+from sphericalvision.sphere.resampling.merge import robust_mean
 
 DOUBLE = torch.float64
 PANORAMA = EquirectangularCamera((48, 96))
@@ -135,6 +136,16 @@ def test_a_view_that_disagrees_counts_little() -> None:
     there = seen.merge().valid
     assert (off.values - plain.values)[:, there].abs().mean() < 0.1
     assert off.spread[there].mean() > 2 * plain.spread[there].mean()
+
+
+def test_places_of_one_view_change_nothing_of_those_of_several(generator: torch.Generator) -> None:
+    values, weights = (torch.rand(4, c, 250, generator=generator) for c in (2, 1))
+    weights[1:, :, 50:] = 0
+    mean, spread = robust_mean(values, weights, 1)
+    overlap, its_spread = robust_mean(values[..., :50], weights[..., :50], 1)
+    torch.testing.assert_close(mean[..., :50], overlap)
+    torch.testing.assert_close(spread[..., :50], its_spread)
+    torch.testing.assert_close(mean[..., 50:], values[0, :, 50:])
 
 
 def test_photographs_of_a_rig_merge_into_the_panorama_that_they_show() -> None:

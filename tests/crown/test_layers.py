@@ -107,6 +107,28 @@ def test_batch_norm_is_one_norm_over_all_places(norm: type[nn.Module], sizes: tu
     torch.testing.assert_close(in_a_row(ours.eval()(crown)), theirs.eval()(in_a_row(crown)))
 
 
+@pytest.mark.parametrize(("norm", "sizes"), [(CrownBatchNorm2d, ()), (CrownBatchNorm3d, (4,))])
+def test_groups_are_normalised_one_after_another(norm: type[nn.Module], sizes: tuple[int, ...]) -> None:
+    values = random_values(6, 3, *sizes, 42)
+    together, apart = (norm(3, dtype=torch.float64) for _ in range(2))
+    together.groups = 3  # type: ignore[assignment]
+    results = zip(*(apart(to_crown(part)) for part in values.split(2)), strict=True)
+    for ours, theirs in zip(together(to_crown(values)), results, strict=True):
+        torch.testing.assert_close(ours, torch.cat(theirs))
+    for key, value in apart.state_dict().items():
+        torch.testing.assert_close(together.state_dict()[key], value)
+
+
+def test_a_norm_folded_into_a_convolution_is_the_norm_after_it() -> None:
+    norm, weight = CrownBatchNorm2d(3, dtype=torch.float64).eval(), random_values(3, 4, 7)
+    for values in (norm.weight, norm.bias, norm.running_mean, norm.running_var):
+        nn.init.uniform_(values, 0.5, 2.0)
+    crown = to_crown(random_values(2, 4, 42))
+    folded, expected = crown_conv2d(crown, *norm.folded(weight)), norm(crown_conv2d(crown, weight))
+    for ours, theirs in zip(folded, expected, strict=True):
+        torch.testing.assert_close(ours, theirs)
+
+
 def test_average_pool_agrees_with_a_loop() -> None:
     crown = to_crown(random_values(1, 2, 42))
     for pooled, rectangles in zip(CrownAvgPool2d()(crown), crown, strict=True):

@@ -54,6 +54,14 @@ def test_bytes_are_shares_of_white(generator: torch.Generator) -> None:
         torch.testing.assert_close(Intake(rig, grid)(images), Intake(rig, grid)(shares))
 
 
+@pytest.mark.parametrize("bits", [8, 16])
+def test_whole_numbers_are_shares_of_the_greatest_of_their_type(bits: int) -> None:
+    values = np.linspace(0, 2**bits - 1, 32 * 32 * 3).astype(f"uint{bits}").reshape(32, 32, 3)
+    seen = as_photographs(dict.fromkeys(RIG.names, values), RIG)["cam1"]
+    expected = torch.from_numpy(values / (2**bits - 1)).float().movedim(-1, 0)
+    torch.testing.assert_close(seen, expected, rtol=1e-6, atol=0)
+
+
 def test_cameras_of_two_sizes_fill_no_tensor() -> None:
     with pytest.raises(ShapeError, match="one size"):
         Intake(RIG.resized({"cam1": (16, 16)}), None)

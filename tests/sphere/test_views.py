@@ -28,7 +28,7 @@ from sphericalvision.core import ShapeError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.scenes import make_scene, ray_depth
 from sphericalvision.sphere import Equirectangular, Views, views
-from sphericalvision.sphere.resampling.merge import robust_mean
+from sphericalvision.sphere.resampling.merge import pixel_weights, robust_mean
 
 DOUBLE = torch.float64
 PANORAMA = EquirectangularCamera((48, 96))
@@ -136,6 +136,19 @@ def test_a_view_that_disagrees_counts_little() -> None:
     there = seen.merge().valid
     assert (off.values - plain.values)[:, there].abs().mean() < 0.1
     assert off.spread[there].mean() > 2 * plain.spread[there].mean()
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [FisheyeCamera.from_field_of_view((64, 96), 3.5), PinholeCamera([40.0] * 2, [47.5, 31.5], (64, 96))],
+)
+def test_no_seam_shows_where_a_view_ends(camera: Camera) -> None:
+    """Pixels count the less, the nearer they are to the end of the field of view or of the image."""
+    seen = camera.unproject(camera.pixel_grid()).valid
+    for weights in (pixel_weights(camera)[32][seen[32]], pixel_weights(camera)[:, 48][seen[:, 48]]):
+        assert (weights.diff()[: len(weights) // 2 - 1] > 0).all()
+        assert (weights.diff()[len(weights) // 2 + 1 :] < 0).all()
+        assert weights[[0, -1]].max() < 0.05 * weights.max()
 
 
 def test_places_of_one_view_change_nothing_of_those_of_several(generator: torch.Generator) -> None:

@@ -247,6 +247,18 @@ def test_modes_are_surfaces_not_their_mean():
     torch.testing.assert_close(second[0, 0], torch.tensor(12.0))
 
 
+def test_modes_are_means_within_two_hypotheses_of_the_best_ones(generator):
+    """Of 2 N - 1 tried hypotheses: of the best one, and of the best that is farther away than that."""
+    logits = 3 * torch.randn(1, 31, 50, generator=generator)
+    index = torch.arange(31) / 2
+    for column, *modes in zip(logits[0].T, *(mode[0] for mode in two_modes(logits)), strict=True):
+        best = index[column.argmax()]
+        second = index[column.where((index - best).abs() > 2, -torch.inf).argmax()]
+        for mode, center in zip(modes, (best, second), strict=True):
+            close = (index - center).abs() <= 2
+            torch.testing.assert_close(mode, (column[close].softmax(0) * index[close]).sum())
+
+
 def test_candidates_at_an_edge_are_both_sides():
     grid = Icosphere(3)
     near = grid.vertices[:, 0] > 0
@@ -513,8 +525,9 @@ def test_a_hint_helps_and_one_that_contradicts_the_images_hardly_harms():
     assert sparse[1] < by_one
 
 
-def test_a_hint_on_a_coarser_level_is_that_of_the_vertex_or_of_those_around_it():
-    hint = DepthHint(torch.full((1, 162), 9.0), torch.zeros(1, 162))
+@pytest.mark.parametrize("unknown", [9.0, math.nan, math.inf])
+def test_a_hint_on_a_coarser_level_is_that_of_the_vertex_or_of_those_around_it(unknown):
+    hint = DepthHint(torch.full((1, 162), unknown), torch.zeros(1, 162))
     ids = ids_of_coarser_level(2, 1)
     ring = icosphere_neighbors(2)[ids[20]]
     hint.weight[0, ids[3]], hint.inverse_depth[0, ids[3]] = 0.25, 2.0

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import pytorch_lightning as pl
 import torch
 
 from sphericalvision.cameras import CameraRig
@@ -61,9 +62,11 @@ def batch() -> dict[str, Any]:
     }
 
 
-def averaging(module: DepthModule, device: str = "cpu") -> tuple[MovingAverage, Any]:
+def averaging(
+    module: pl.LightningModule, device: str = "cpu", decay: float = 0.5
+) -> tuple[MovingAverage, Any]:
     trainer: Any = SimpleNamespace(global_step=0, strategy=SimpleNamespace(root_device=torch.device(device)))
-    average = MovingAverage(0.5)
+    average = MovingAverage(decay)
     average.setup(trainer, module, "fit")
     return average, trainer
 
@@ -106,6 +109,22 @@ def test_the_average_is_where_the_weights_will_be(module: DepthModule) -> None:
     average, _ = averaging(module, "meta")
     assert average._average_model is not None
     assert all(value.is_meta for value in average._average_model.module.state_dict().values())
+
+
+def test_the_average_keeps_the_share_of_its_decay_at_each_step() -> None:
+    module, expected = pl.LightningModule(), 0.0
+    module.layer = torch.nn.Linear(2, 2)
+    average, trainer = averaging(module, decay=0.9)
+    for step, value in enumerate((1.0, 3.0, -2.0), start=1):
+        for weight in module.parameters():
+            torch.nn.init.constant_(weight, value)
+        trainer.global_step = step
+        for _ in range(2):  # gradients of two batches make a step
+            average.on_train_batch_end(trainer, module, None, None, step)
+        expected = 0.9 * expected + 0.1 * value if step > 1 else value
+        assert average._average_model is not None
+        for weight in average._average_model.module.parameters():
+            torch.testing.assert_close(weight.detach(), torch.full_like(weight, expected))
 
 
 def test_a_gradient_that_is_no_number_is_left_out(module: DepthModule) -> None:

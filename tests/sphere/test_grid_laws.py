@@ -19,6 +19,7 @@ from sphericalvision.sphere import (
     resample,
     resample_mask,
 )
+from sphericalvision.sphere.resampling.supersampling import cell_samples
 from tests.laws.grid_laws import DOUBLE, GRIDS, some_rotation, spread_directions
 from tests.laws.harmonics import harmonics
 
@@ -60,6 +61,17 @@ def test_cells_of_the_nearest_value_have_the_stated_solid_angles(name: str) -> N
     measured = counts.view(grid.shape) * (4 * math.pi / points)
     difference = (measured - grid.solid_angles).abs() / grid.solid_angles.mean()
     assert difference.max() < GRIDS[name].cells
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "tangent"])  # whose cells overlap
+def test_samples_of_a_cell_lie_in_it(name: str) -> None:
+    """But for the corners of cells whose neighbours are not all as near."""
+    grid = make(name, 1)
+    samples = cell_samples(grid, 4, DOUBLE, torch.device("cpu"))
+    own = torch.arange(math.prod(grid.shape))[:, None]
+    inside = (grid.nearest(samples.directions) == own) * samples.shares
+    torch.testing.assert_close(samples.shares.sum(-1).expand(len(own)), torch.ones(len(own), dtype=DOUBLE))
+    assert inside.sum(-1).min() > 0.85
 
 
 @pytest.mark.parametrize("count", [20_000, pytest.param(1_000_000, marks=pytest.mark.slow)])

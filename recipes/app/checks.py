@@ -263,8 +263,7 @@ def _in_words(schema: dict[str, Any]) -> str:
         text += " " + " and ".join(limits).replace(f"up to {sys.float_info.max}", "finite")
     if min_items:
         text += f" of {min_items}" if min_items == max_items else " (not empty)"
-    if (
-        items := schema.get("items") or schema.get("prefixItems", [None])[0]
-    ):  # all items of our tuples are alike
+    # All items of our tuples are alike
+    if items := schema.get("items") or schema.get("prefixItems", [None])[0]:
         text += f", each {_in_words(items)}"
     return text

@@ -48,9 +48,8 @@ def build(config: Any, where: str = "", **kwargs: Any) -> Any:
         cause = error.__cause__
         if isinstance(cause, (SphericalVisionError, OSError)):
             raise cause from None
-        if isinstance(
-            cause, ModuleNotFoundError
-        ):  # of an extra of this package, if one has the name of the node
+        # Of an extra of this package, if one has the name of the node
+        if isinstance(cause, ModuleNotFoundError):
             name = where.rpartition(".")[2]
             extras = metadata("sphericalvision").get_all("Provides-Extra") or []
             command = f"'sphericalvision[{name}]'" if name in extras else cause.name or "the package it names"

@@ -62,9 +62,8 @@ def truth_of(batch: Sample, net: DepthNetwork) -> tuple[Tensor, Tensor]:
             f"data: samples have depth at {size} vertices, {type(net).__name__} estimates it at "
             f"{grid.num_vertices} (level {level}); take data of that level or a finer one"
         )
-    if (
-        size > grid.num_vertices
-    ):  # a finer icosphere has the vertices of a coarser one, where depth is as exact
+    # A finer icosphere has the vertices of a coarser one, where depth is as exact
+    if size > grid.num_vertices:
         ids = ids_of_coarser_level(level_from_num_vertices(size), level, inverse_depth.device)
         inverse_depth, valid = inverse_depth[..., ids], valid[..., ids]
     return inverse_depth, valid

@@ -161,9 +161,8 @@ def added_memory(run: Run, device: torch.device) -> float:
             run()
             added.append((torch.cuda.max_memory_allocated(device) - before) / 1e6)
         else:
-            ctypes.CDLL(None).malloc_trim(
-                0
-            )  # freed memory is given back, and counts when it is allocated again
+            # Freed memory is given back, and counts when it is allocated again
+            ctypes.CDLL(None).malloc_trim(0)
             Path("/proc/self/clear_refs").write_text("5")  # a new high-water mark
             resident = _status("VmRSS")
             run()

@@ -27,10 +27,8 @@ def resized_mask(
     for dim, new in ((-2, image_size[0]), (-1, image_size[1])):
         old = mask.shape[dim]
         step = torch.arange(new, device=mask.device)
-        first, last = (
-            step * old // new,
-            ((step + 1) * old + new - 1) // new,
-        )  # where the pixel begins and ends
+        # Where the pixel begins and ends
+        first, last = step * old // new, ((step + 1) * old + new - 1) // new
         bad = torch.nn.functional.pad((~mask).movedim(dim, -1).long().cumsum(-1), (1, 0))
         mask = (bad[..., last] == bad[..., first]).movedim(-1, dim)
     return mask

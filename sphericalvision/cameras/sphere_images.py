@@ -118,7 +118,6 @@ def _shrinking(camera: Camera, directions: Tensor) -> int:
     spacing = math.sqrt(4 * math.pi / directions.shape[-2])
     if isinstance(camera, EquirectangularCamera):
         return max(1, int(spacing * pixels_a_radian(camera)))
-    pixel = (
-        2 * float(camera.max_angle.max()) / min(camera.image_size)
-    )  # the image circle fills the shorter side
+    # The image circle fills the shorter side
+    pixel = 2 * float(camera.max_angle.max()) / min(camera.image_size)
     return max(1, int(spacing / pixel))

@@ -259,9 +259,8 @@ def export_program(
         tables = rig_tables(program)
         inputs, shapes = (*inputs, tables), (*shapes, dict.fromkeys(tables))
     with quiet(), kernels("graph"):
-        program(
-            *inputs
-        )  # makes the tables of icospheres: who records would take the making for a part of the program
+        # Makes the tables of icospheres: who records would take the making for a part of the program
+        program(*inputs)
         traced: Any = torch.export.export(program, inputs, dynamic_shapes=shapes, strict=False)
         if program.precision != "float32":  # what autocast does to each operator is written out
             traced = traced.run_decompositions({})

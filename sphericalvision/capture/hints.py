@@ -311,9 +311,8 @@ class CarriedDepth:
         expected = (1 / own + 1 / weight.clamp(min=1e-9)).sqrt()
         alone = ((now - carried) / expected).where(reached, OUTLIER).clamp(-OUTLIER, OUTLIER)
         surprise, grid = alone, depth.network.grid
-        if isinstance(
-            grid, Icosphere
-        ):  # what moves is seen in directions side by side, what flickers less so
+        # What moves is seen in directions side by side, what flickers less so
+        if isinstance(grid, Icosphere):
             ring = ring_around(grid.level, alone.device)
             for _ in range(2):
                 surprise = (surprise + surprise[ring].sum(1)) / 7

@@ -321,9 +321,8 @@ class Predictor:
     def _on_device(self, images: Mapping[str, Any]) -> dict[str, Tensor]:
         """Images in the order of the cameras; bytes travel as bytes, one image while the next one is preprocessed."""
         ordered = ordered_images(images, self.rig)
-        if (
-            self.device.type == "cuda"
-        ):  # from pinned memory, which torch keeps and takes again once it is read
+        # From pinned memory, which torch keeps and takes again once it is read
+        if self.device.type == "cuda":
             ordered = {name: image.pin_memory() if image.is_cpu else image for name, image in ordered.items()}
         return {name: image.to(self.device, non_blocking=True) for name, image in ordered.items()}
 

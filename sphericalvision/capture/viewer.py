@@ -183,9 +183,8 @@ class Timeline:
         template = (HERE / "viewer.html").read_text(encoding="utf-8")
         # In one pass, so that nothing that comes from elsewhere is taken for a place of the template.
         page = re.sub("__([A-Z]+)__", lambda place: values[place[1]], template)
-        write_bytes(
-            path, page.encode(errors="replace")
-        )  # a title may be the name of a file in another encoding
+        # A title may be the name of a file in another encoding
+        write_bytes(path, page.encode(errors="replace"))
         return Path(path)
 
 

@@ -32,9 +32,8 @@ def convolve_own(
     stride: int,
 ) -> Float[Tensor, "B 5 C_out *N rows columns"]:
     """Convolve the vertices that charts own with their true neighbours; the first and last hypothesis are repeated."""
-    charts = hex_pad(values)[
-        ..., stride - 1 :, :
-    ]  # a coarser chart begins at the second row of the finer one
+    # A coarser chart begins at the second row of the finer one
+    charts = hex_pad(values)[..., stride - 1 :, :]
     images = charts.flatten(0, 1)
     if images.ndim == 5:
         images = _repeat_ends(images)

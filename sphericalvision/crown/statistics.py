@@ -36,9 +36,8 @@ def normalize(col: Tensor, row: Tensor, norm: CrownNorm, relu: bool) -> Pair:
         return _by_group(col, row, norm, relu)
     # Both kinds of rectangle have as many places: with the places in one dimension they are one batch.
     joined: Any = _BatchNorm.forward(norm, torch.cat([x.flatten(0, 1).flatten(-2) for x in (col, row)]))
-    first, second = (joined.relu() if relu else joined).chunk(
-        2
-    )  # unlike unbind, its gradient keeps channels innermost
+    # Unlike unbind, its gradient keeps channels innermost
+    first, second = (joined.relu() if relu else joined).chunk(2)
     return first.view(col.shape), second.view(row.shape)
 
 

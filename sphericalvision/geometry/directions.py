@@ -189,9 +189,8 @@ def moderate_lengths(points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch
     x, y, z = components(points.detach())
     squared = torch.addcmul(torch.addcmul(x * x, y, y), z, z)
     shortest, longest = 1e-10, 1e19
-    if (
-        not prefer_fused(points.device) and has_numbers(points) and points.numel()
-    ):  # others do not wait for it
+    # Others do not wait for it
+    if not prefer_fused(points.device) and has_numbers(points) and points.numel():
         least, most = squared.aminmax()
         if bool(least > shortest) and bool(most < longest):
             return points

@@ -75,9 +75,8 @@ def solve_least_squares(
         length = torch.linalg.vector_norm(columns, dim=0)
         scale = torch.where(held | (length == 0), 0.0, 1 / torch.where(length == 0, 1.0, length))
         rows = torch.cat((torch.nan_to_num(columns * scale), residual[:, None]), -1)
-        if (
-            len(rows) > rows.shape[1]
-        ):  # many rows are turned into as many as columns, at a fifth of the singular values' cost
+        # Many rows are turned into as many as columns, at a fifth of the singular values' cost
+        if len(rows) > rows.shape[1]:
             rows = torch.linalg.qr(rows, mode="r").R
         u, s, vh = torch.linalg.svd(rows[:, :-1], full_matrices=False)
         along = u.mT @ rows[:, -1]

@@ -110,10 +110,8 @@ def increasing_limit(
         slope = derivative(at)
         rising = (slope > 0).to(torch.long).cumprod(-1).sum(-1, keepdim=True)
         last, following = (rising - 1).clamp_min(0), rising.clamp_max(samples - 1)
-        low, high = (
-            at.gather(-1, last),
-            at.gather(-1, following),
-        )  # the same place where all samples rise, or none does
+        # The same place where all samples rise, or none does
+        low, high = at.gather(-1, last), at.gather(-1, following)
         positive, negative = slope.gather(-1, last), slope.gather(-1, following)
         for _ in range(refinements):
             estimate = _false_position(low, high, positive, negative)

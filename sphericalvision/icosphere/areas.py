@@ -69,9 +69,8 @@ def icosphere_voronoi_solid_angles(
     corners = icosphere_vertices(level, torch.float64, device)[faces]
     a, b, c = corners.unbind(1)
     center = F.normalize(torch.linalg.cross(b - a, c - a), dim=-1)[:, None].expand_as(corners)
-    after = F.normalize(
-        corners + corners.roll(-1, 1), dim=-1
-    )  # middles of the edges from each corner to the next
+    # Middles of the edges from each corner to the next
+    after = F.normalize(corners + corners.roll(-1, 1), dim=-1)
     before = after.roll(1, 1)
     # From each corner to the middle of an edge, the circumcentre, and the middle of the other edge.
     areas = _triangle_solid_angles(corners, after, center) + _triangle_solid_angles(corners, center, before)

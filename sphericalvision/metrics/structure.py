@@ -86,9 +86,8 @@ def _off_plane(index: Tensor, rings: Tensor) -> Tensor:
     valid = (rings >= 0).to(torch.float64)[..., None]
     vertices = icosphere_vertices(level, torch.float64, index.device)[rings.clamp(min=0)] * valid
     values = index.double()[..., rings.clamp(min=0)] * valid[..., 0]
-    normal = (
-        vertices.mT @ vertices
-    )  # (V, 3, 3), well away from singular: directions are unit vectors that differ
+    # (V, 3, 3), well away from singular: directions are unit vectors that differ
+    normal = vertices.mT @ vertices
     slope = torch.linalg.solve(normal, (vertices.mT @ values[..., None]))
     return (values - (vertices @ slope)[..., 0]).abs().amax(-1).to(index.dtype)
 

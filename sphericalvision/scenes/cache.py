@@ -104,9 +104,8 @@ def _load(path: Path) -> dict[str, Tensor] | None:
     try:
         with zipfile.ZipFile(path) as archive:
             return {name.removesuffix(".npy"): _array(archive.read(name)) for name in archive.namelist()}
-    except (
-        Exception
-    ):  # damaged files make zip, zlib and numpy raise nearly anything; all of it means: make it anew
+    except Exception:
+        # Damaged files make zip, zlib and numpy raise nearly anything; all of it means: make it anew.
         return None
 
 

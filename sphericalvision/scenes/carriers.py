@@ -73,9 +73,8 @@ def carrier_masks(body: Primitives, rig: CameraRig) -> dict[str, Bool[Tensor, "h
     for (name, camera), pose in zip(rig.cameras.items(), rig.world_from_camera, strict=True):
         rays = camera.unproject(camera.pixel_grid()).directions.float()
         hit = trace(body, pose[:3, 3].float(), rays @ pose[:3, :3].T.float()).distance.isfinite()
-        around = torch.nn.functional.max_pool2d(hit[None].float(), 3, 1, 1)[
-            0
-        ]  # pixels that it covers in part
+        # Pixels that it covers in part
+        around = torch.nn.functional.max_pool2d(hit[None].float(), 3, 1, 1)[0]
         masks[name] = around == 0
     return masks
 

@@ -42,6 +42,5 @@ def check_seen(
         >>> check_seen(torch.ones(2, 42, dtype=torch.bool), torch.zeros(5, 2, 3, 42)).shape
         torch.Size([5, 2, 42])
     """
-    return seen.expand(
-        images.shape[0], *seen.shape[-2:]
-    )  # not len(), which makes a constant of it for exports
+    # Not len(), which makes a constant of it for exports
+    return seen.expand(images.shape[0], *seen.shape[-2:])

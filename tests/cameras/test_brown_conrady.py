@@ -33,9 +33,8 @@ def test_ends_where_the_determinant_vanishes(tangential: float) -> None:
     camera = lens(distortion, (4001, 4001))
     step = 1e-6
     for azimuth in np.linspace(0, 2 * np.pi, 7):
-        radius = np.linspace(
-            0.9, 1.7, 81
-        )  # up to the radius 1.83 at which the lens sees straight ahead again
+        # Up to the radius 1.83 at which the lens sees straight ahead again
+        radius = np.linspace(0.9, 1.7, 81)
         plane = torch.tensor(np.stack((radius * np.cos(azimuth), radius * np.sin(azimuth)), -1))
         shifts = torch.tensor([[step, 0.0], [-step, 0.0], [0.0, step], [0.0, -step]], dtype=torch.float64)
         places = torch.nn.functional.pad((plane[:, None] + shifts).reshape(-1, 2), (0, 1), value=1.0)

@@ -181,9 +181,8 @@ def test_the_error_told_is_the_error_made(to: type[Camera]) -> None:
 def test_ocam_of_220_degrees_as_kannala_brandt() -> None:
     ocam = real_ocam()
     conversion = convert(ocam, to=KannalaBrandtCamera)
-    assert (
-        conversion.max_error < 0.8
-    )  # the affine part's shear, which Kannala-Brandt lacks, is 0.7 px at the edge
+    # The affine part's shear, which Kannala-Brandt lacks, is 0.7 px at the edge
+    assert conversion.max_error < 0.8
     upright = OCamCamera(
         ocam.polynomial, None, ocam.principal_point, [1.0003, 0.0, 0.0], ocam.image_size, ocam.max_angle
     )

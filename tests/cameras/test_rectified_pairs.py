@@ -22,9 +22,8 @@ from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from tests.laws.cameras import CAMERAS
 
 ONE_EACH = {case.make(1.0).model: case.make for case in reversed(CAMERAS)}
-ONE_EACH["ocam"] = next(
-    case.make for case in CAMERAS if case.name == "ocam exact"
-)  # the other inverse is 0.01 px off
+# The other inverse is 0.01 px off
+ONE_EACH["ocam"] = next(case.make for case in CAMERAS if case.name == "ocam exact")
 KINDS = ("cassini", "pinhole", "equirectangular")
 POSES = torch.stack(
     [

@@ -193,9 +193,8 @@ def test_opencv_fisheye_to_pinhole() -> None:
     smooth = scene(directions_of(camera))[0]
     expected = torch.from_numpy(cv2.remap(smooth.numpy(), *maps, cv2.INTER_LINEAR))
     values, valid = both(smooth[None], camera, target, rotation)
-    torch.testing.assert_close(
-        values[0][inner(valid)], expected[inner(valid)], rtol=0, atol=1e-3
-    )  # 1/32 pixel there
+    # 1/32 pixel there
+    torch.testing.assert_close(values[0][inner(valid)], expected[inner(valid)], rtol=0, atol=1e-3)
 
 
 def test_opencv_bicubic_has_the_same_kernel() -> None:
@@ -409,9 +408,8 @@ def test_masked_pixels_take_no_part(mode: str) -> None:
 
 def test_valid_is_where_usable_pixels_are_touched() -> None:
     source = PinholeCamera([20.0, 20.0], [19.5, 19.5], (40, 40)).to(torch.float64)
-    target = PinholeCamera([20.0, 20.0], [19.25, 19.5], (40, 40)).to(
-        torch.float64
-    )  # looks up 0.25 to the right
+    # Looks up 0.25 to the right
+    target = PinholeCamera([20.0, 20.0], [19.25, 19.5], (40, 40)).to(torch.float64)
     mask = torch.zeros(40, 40, dtype=torch.bool)
     mask[:, 10] = True
     image = torch.arange(40.0).double().expand(1, 40, 40)

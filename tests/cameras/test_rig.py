@@ -70,9 +70,8 @@ def test_tilt_looks_down_by_the_angle_and_moves_nothing() -> None:
     tilted = rig.rotated(tilt=tilt)
     torch.testing.assert_close(tilted.axes, math.cos(tilt) * rig.axes + math.sin(tilt) * DOWN)
     torch.testing.assert_close(tilted.world_from_camera[:, :3, 3], rig.world_from_camera[:, :3, 3])
-    torch.testing.assert_close(
-        tilted.world_from_camera[:, :3, 0], rig.world_from_camera[:, :3, 0]
-    )  # its own x axis
+    # Its own x axis
+    torch.testing.assert_close(tilted.world_from_camera[:, :3, 0], rig.world_from_camera[:, :3, 0])
     back = tilted.rotated(tilt=torch.full((4,), -tilt))
     torch.testing.assert_close(back.world_from_camera, rig.world_from_camera)
 

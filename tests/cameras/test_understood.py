@@ -315,9 +315,8 @@ def test_other_encodings_are_named(tmp_path: Path, encoding: str, named: str) ->
     (tmp_path / "camera.yaml").write_text(f"# a\n# für\n{yaml.safe_dump(MESSAGE)}", encoding=encoding)
     with pytest.raises(FileFormatError, match=named):
         read_camera(tmp_path / "camera.yaml")
-    (tmp_path / "camera.txt").write_bytes(
-        "\ufeff".encode(encoding.replace("cp1252", "utf-8"))
-    )  # a mark alone
+    # A mark alone
+    (tmp_path / "camera.txt").write_bytes("\ufeff".encode(encoding.replace("cp1252", "utf-8")))
     with pytest.raises(FileFormatError, match=r"camera\.txt: "):
         read_camera(tmp_path / "camera.txt")
 

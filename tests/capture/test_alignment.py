@@ -74,9 +74,8 @@ def test_a_knocked_camera_is_named_and_others_are_not(kind: str, camera: int, de
             f"{RIG.names[camera]} by {math.degrees(float(found.turns[camera].norm())):.2f}"
             in found.described()
         )
-        assert float((found.turns - turns)[camera].norm()) < 2 * float(
-            found.spread[camera]
-        )  # the ± that is told
+        # The ± that is told
+        assert float((found.turns - turns)[camera].norm()) < 2 * float(found.spread[camera])
         assert found.agreement[1] > found.agreement[0]
         torch.testing.assert_close(found.rig.positions, RIG.positions)
     else:

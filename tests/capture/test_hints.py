@@ -160,9 +160,8 @@ def test_the_last_frame_is_carried_on_by_the_pose() -> None:
     home[:3, 3] = -there
     own_world = Hint.of_depth(shifted, home).averaged(off)
     torch.testing.assert_close(own_world.index, carried.index, rtol=0, atol=1e-3)
-    back = Hint.of_depth(answer(moved), torch.linalg.inv(motion)).averaged(
-        off
-    )  # as if it had moved the other way
+    # As if it had moved the other way
+    back = Hint.of_depth(answer(moved), torch.linalg.inv(motion)).averaged(off)
     assert relative_error(back, rig) > 0.75 * alone
     straight = transform_from_axis_angle(torch.zeros(3), torch.tensor([0.1, 0.0, -0.3]))
     own = replace(answer(rig.replaced(world_from_camera=straight @ rig.world_from_camera)), rig=rig)
@@ -310,11 +309,8 @@ def test_a_predictor_takes_hints_and_says_if_one_is_of_another_frame() -> None:
     assert mean_error(hinted) < 0.8 * mean_error(plain)
     scaled = with_hint(predictor, images, Hint.of_points(points * 7, fit="scale"))
     assert mean_error(scaled) < 0.9 * mean_error(plain)
-    for factor in (
-        0.3,
-        0.83,
-        1.32,
-    ):  # however little it is off: a hint without an effect is one with a warning
+    # However little it is off: a hint without an effect is one with a warning
+    for factor in (0.3, 0.83, 1.32):
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             wrong = with_hint(predictor, images, Hint.of_points(points * factor))

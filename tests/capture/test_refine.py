@@ -66,9 +66,8 @@ def test_intrinsics_are_found_again(case: CameraCase) -> None:
     found = refine(changed(truth, 0.005), BOARD, pixels, seen)
     assert found.rms_error < 1e-3
     assert found.residuals[seen].norm(dim=-1).max() < 1e-2
-    if case.name.startswith(
-        "ocam"
-    ):  # turns its image about the axis, which boards cannot tell from their own turn
+    # Turns its image about the axis, which boards cannot tell from their own turn
+    if case.name.startswith("ocam"):
         return
     counted = seen & (seen.sum(-1, keepdim=True) >= 6)
     rays = transform_points(found.camera_from_points, BOARD)[counted]

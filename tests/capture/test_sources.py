@@ -467,10 +467,8 @@ def test_a_video_cut_short_is_told(tmp_path: Path) -> None:
             assert frames[0].images is not None
             assert "of the 10 frames that its header promises" in str(frames[-1].error)
             content = bytearray(content)
-            for chunk, offset in (
-                (b"avih", 24),
-                (b"strh", 40),
-            ):  # numbers of frames, which are read before these are
+            # Numbers of frames, which are read before these are
+            for chunk, offset in ((b"avih", 24), (b"strh", 40)):
                 start = content.index(chunk) + offset
                 content[start : start + 4] = (2**31 - 1).to_bytes(4, "little")
             cut.write_bytes(content)

@@ -246,9 +246,8 @@ def test_small_rotations_stay_below_the_largest_angle(generator: torch.Generator
     )
     angle = sine.asin()
     assert angle.max() <= 0.2 + 1e-6
-    assert angle.mean().item() == pytest.approx(
-        0.15, rel=0.02
-    )  # the density grows with the square of the angle
+    # The density grows with the square of the angle
+    assert angle.mean().item() == pytest.approx(0.15, rel=0.02)
 
 
 def test_bad_arguments_are_named() -> None:

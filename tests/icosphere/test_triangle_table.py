@@ -41,9 +41,8 @@ def test_coefficients_rebuild_directions_from_rays_of_any_length(
     rebuilt = F.normalize(torch.einsum("mki,km->im", corners, shares.double()), dim=0)
     eps = torch.finfo(dtype).eps
     torch.testing.assert_close(rebuilt, F.normalize(rays.double(), dim=0), rtol=0, atol=8 * eps)
-    torch.testing.assert_close(
-        shares.sum(0), rays.norm(dim=0), rtol=0.3 / 2**level, atol=0
-    )  # planes cut the sphere
+    # Planes cut the sphere
+    torch.testing.assert_close(shares.sum(0), rays.norm(dim=0), rtol=0.3 / 2**level, atol=0)
     assert (shares.amin(0) >= -16 * eps * 2**level * shares.sum(0)).all()
 
 

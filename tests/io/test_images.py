@@ -45,9 +45,8 @@ def test_grey_and_sixteen_bit_and_alpha(tmp_path: Path) -> None:
     np.testing.assert_allclose(image, np.stack([grey] * 3) / 255, atol=1e-7)
     cv2.imwrite(str(tmp_path / "deep.png"), np.full((2, 2), 65535, np.uint16))
     assert (read_image(tmp_path / "deep.png") == 1).all()
-    four = np.dstack(
-        [np.full((2, 3), level, np.uint8) for level in (10, 20, 30, 255)]
-    )  # blue, green, red, alpha
+    # Blue, green, red, alpha
+    four = np.dstack([np.full((2, 3), level, np.uint8) for level in (10, 20, 30, 255)])
     cv2.imwrite(str(tmp_path / "four.png"), four)
     assert (read_image(tmp_path / "four.png")[:, 0, 0] * 255).tolist() == pytest.approx([30, 20, 10])
 

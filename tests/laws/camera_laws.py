@@ -59,9 +59,8 @@ def pixels_seen(camera: Camera, count: int = 400) -> Tensor:
     generator = torch.Generator().manual_seed(1)
     height, width = camera.image_size
     size = torch.tensor([width - 1.0, height - 1.0], dtype=torch.float64)
-    places = torch.rand(
-        count, 2, generator=generator, dtype=torch.float64, device="cpu"
-    )  # as its generator is
+    # As its generator is
+    places = torch.rand(count, 2, generator=generator, dtype=torch.float64, device="cpu")
     pixels = (places.to(size.device) * size).to(camera.dtype)
     directions, valid = camera.unproject(pixels)
     inside = angle_between(directions, directions.new_tensor([0.0, 0.0, 1.0])) < INSIDE * camera.max_angle

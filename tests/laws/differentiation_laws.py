@@ -37,9 +37,8 @@ def intrinsics_of(camera: Camera) -> tuple[list[str], list[Tensor]]:
 def _function(camera: Camera, verb: str) -> Callable[..., Tensor]:
     """Pixels or directions as a function of points or pixels and of relative changes of the intrinsics."""
     names, tensors = intrinsics_of(camera)
-    scales = [
-        torch.where(tensor == 0, 0.01, tensor.abs()) for tensor in tensors
-    ]  # powers of pixels differ vastly
+    # Powers of pixels differ vastly
+    scales = [torch.where(tensor == 0, 0.01, tensor.abs()) for tensor in tensors]
 
     def call(values: Tensor, *changes: Tensor) -> Tensor:
         changed = [t + c * s for t, c, s in zip(tensors, changes, scales, strict=True)]

@@ -36,9 +36,8 @@ def loop_index_errors(pred: Tensor, target: Tensor, mask: Tensor, number: int) -
 def index_batch(generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
     target = 31 * torch.rand(4, 162, generator=generator)
     pred = target + 1.5 * torch.randn(4, 162, generator=generator)
-    mask = torch.rand(4, 162, generator=generator) > torch.tensor(
-        [[0.0], [0.5], [0.9], [1.0]]
-    )  # the last is empty
+    # The last is empty
+    mask = torch.rand(4, 162, generator=generator) > torch.tensor([[0.0], [0.5], [0.9], [1.0]])
     return pred, target, mask
 
 

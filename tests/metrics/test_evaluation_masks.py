@@ -123,9 +123,8 @@ def official_by_loops(pred: Tensor, target: Tensor, min_depth: float, mask: Tens
 
 
 def test_the_official_protocol_equals_loops(generator: torch.Generator) -> None:
-    target = (
-        torch.rand(3, 16, 32, generator=generator) * 2.0
-    )  # up to 0.5 m: some are nearer than the 0.55 m of N
+    # Up to 0.5 m: some are nearer than the 0.55 m of N
+    target = torch.rand(3, 16, 32, generator=generator) * 2.0
     pred = target + 0.05 * torch.randn(3, 16, 32, generator=generator)
     mask = torch.rand(3, 16, 32, generator=generator) > 0.3
     metric = OmniMVSError(min_depth=0.55)

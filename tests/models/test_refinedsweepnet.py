@@ -172,9 +172,8 @@ def test_learns_and_leaves_the_prior_alone(net, frame):
         losses.append(loss.item())
     assert losses[-1] < 0.8 * losses[0]
     assert all(torch.equal(value, before[name]) for name, value in net.prior.state_dict().items())
-    hint = DepthHint(
-        inverse_depth_from_index(true, 16, 0.55), torch.ones_like(true)
-    )  # a wrong one teaches nothing
+    # A wrong one teaches nothing
+    hint = DepthHint(inverse_depth_from_index(true, 16, 0.55), torch.ones_like(true))
     net.training_loss(images, rig, seen, true, valid, depth_index_huber, hint).backward()
     assert all(p.grad is not None and p.grad.any() for p in net.parameters() if p.requires_grad)
 

@@ -214,9 +214,8 @@ def test_reference_checkpoint(write_checkpoint: Writer) -> None:
 
 def test_reference_checkpoint_at_another_level(write_checkpoint: Writer) -> None:
     net = small_net()
-    state = {
-        f"module.{key}": tensor for key, tensor in in_reference_names(net).items()
-    }  # saved from DataParallel
+    # Saved from DataParallel
+    state = {f"module.{key}": tensor for key, tensor in in_reference_names(net).items()}
     path = write_checkpoint(state_dict=state, ndisp=4, min_depth=0.3, level=3)
     again = load_reference_checkpoint(path, level=4, num_hypotheses=8, min_depth=0.5)
     assert (again.level, again.num_hypotheses, again.min_depth) == (4, 8, 0.5)

@@ -36,9 +36,8 @@ NET = SemiGlobalSweep(4, 16, 0.55, depth_coarsening=2)
 def batch(rig: CameraRig, scenes: int = 2) -> dict[str, Any]:
     scenes_seen = world_scenes(rig, scenes, view=SampleView(4, 2, images=True, antialias=True))
     samples = collate_samples([scenes_seen[n] for n in range(scenes)])
-    to_sphere = ToSphere(
-        4, antialias=True
-    )  # the bytes that a predictor sees, looked up without another rounding
+    # The bytes that a predictor sees, looked up without another rounding
+    to_sphere = ToSphere(4, antialias=True)
     looked_up = [to_sphere.images(images, rig) for rig, images in camera_images(samples)]
     return {**samples, "images": torch.stack(looked_up)}
 

@@ -127,10 +127,8 @@ def test_relative_errors_count_up_to_ten_metres_in_rooms_and_eighty_elsewhere() 
         return [errors_of_frame(every, frame)["metres"] for frame in range(3)]
 
     room = {"AbsRel": pytest.approx(0.3 / 2), "d<1.25": 0.5}
-    far = {
-        "AbsRel": pytest.approx((3.0 + 0.3) / 3, rel=1e-5),
-        "d<1.25": pytest.approx(1 / 3),
-    }  # 90 m count as 80
+    # 90 m count as 80
+    far = {"AbsRel": pytest.approx((3.0 + 0.3) / 3, rel=1e-5), "d<1.25": pytest.approx(1 / 3)}
     assert errors("auto") == [room, far, far]
     farther = {"AbsRel": pytest.approx((0.1 + 3.5 + 0.3) / 4, rel=1e-5), "d<1.25": 0.5}
     assert errors(200.0) == [farther] * 3

@@ -386,9 +386,8 @@ def test_masks_beside_the_images_are_no_frames(
 
 def test_mistakes_are_named(failing: Run, capture: Path, weights: Path, tmp_path: Path) -> None:
     good = words(capture, weights, "out")
-    four = save_weights(
-        IcoSweepNet(3, 4, feature_channels=2), tmp_path / "four.safetensors"
-    )  # a concatenation
+    # A concatenation
+    four = save_weights(IcoSweepNet(3, 4, feature_channels=2), tmp_path / "four.safetensors")
     three = failing("predict", *words(capture, four, "out"), "cameras=[cam1,cam2,cam3]")
     assert "has 3 cameras" in three
     assert "checkpoint is for 4" in three

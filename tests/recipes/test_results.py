@@ -22,9 +22,8 @@ from tests.worlds import ball
 def test_every_output_is_what_it_says(tmp_path: Path) -> None:
     rig = ring_rig(3, image_size=(16, 16))
     depth = ball(rig)
-    kinds = [
-        kind for kind in OUTPUTS if kind not in ("timeline", "rerun")
-    ]  # of sequences; tests/capture has those
+    # Of sequences; tests/capture has those
+    kinds = [kind for kind in OUTPUTS if kind not in ("timeline", "rerun")]
     outputs = Outputs(tmp_path, Settings(kinds, 32, min_confidence=0.25, voxel=0.1))
     outputs.write("7", depth)
     outputs.close()

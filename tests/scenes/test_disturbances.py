@@ -179,6 +179,5 @@ def test_a_carrier_is_where_masks_say(kind: str) -> None:
     assert (carried.body.distance_from(torch.tensor([0.0, 1.5, 0.0])) > 0.4).all()  # no floor is so near
     up = Icosphere(3).vertices
     up = up[up[:, 1] < -0.5]
-    torch.testing.assert_close(
-        ray_depth(scene, rig.center, up), ray_depth(carried.scene, rig.center, up)
-    )  # nothing above
+    # Nothing above
+    torch.testing.assert_close(ray_depth(scene, rig.center, up), ray_depth(carried.scene, rig.center, up))

@@ -336,9 +336,8 @@ def test_colours_of_a_gltf_are_multiplied_as_its_specification_says(
     assert light({"COLOR_0": colors}, grey) == pytest.approx(SHADE[0] / 2, abs=5e-3)
     assert light({}, grey) == pytest.approx([0.5] * 3, abs=5e-3)
     assert light({}, {}) == [1.0] * 3
-    assert light({"COLOR_0": colors}, None) == pytest.approx(
-        SHADE[0] ** 2.2, abs=5e-3
-    )  # as trimesh writes them
+    # As trimesh writes them
+    assert light({"COLOR_0": colors}, None) == pytest.approx(SHADE[0] ** 2.2, abs=5e-3)
 
 
 @pytest.mark.parametrize(

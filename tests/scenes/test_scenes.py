@@ -91,9 +91,8 @@ def test_scenes_keep_clear_of_the_rig_fill_the_hypotheses_and_are_closed(kind: s
     assert depth[depth.isfinite()].max() > 2.0
 
 
-@pytest.mark.parametrize(
-    "kind", [kind for kind in scene_kinds() if not under_other_skies(kind)]
-)  # may be white
+# May be white
+@pytest.mark.parametrize("kind", [kind for kind in scene_kinds() if not under_other_skies(kind)])
 def test_pictures_are_neither_dark_nor_washed_out(kind: str) -> None:
     directions = torch.nn.functional.normalize(torch.randn(2000, 3), dim=-1)
     pictures = torch.stack(

@@ -225,9 +225,8 @@ def test_a_pyramid_is_healpys_and_keeps_the_integral(nested: bool) -> None:
     coarse = healpix_pool(values, nested=nested)
     torch.testing.assert_close(coarse.mean(-1), values.mean(-1))
     assert torch.equal(healpix_pool(healpix_upsample(coarse, nested), "max", nested), coarse)
-    there = Healpix(4, nested).nearest(
-        Healpix(8, nested).directions
-    )  # the pixel that holds each of the finer ones
+    # The pixel that holds each of the finer ones
+    there = Healpix(4, nested).nearest(Healpix(8, nested).directions)
     assert torch.equal(healpix_upsample(coarse, nested), coarse[:, there])
     healpy = pytest.importorskip("healpy")
     order = "NESTED" if nested else "RING"

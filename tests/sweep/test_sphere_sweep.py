@@ -54,9 +54,8 @@ def test_equals_loops_over_cameras_and_hypotheses(generator: torch.Generator, fe
     values, mask = sweep(features, rig)
     expected, expected_mask = swept_by_loops(features, rig, sweep)
     assert torch.equal(mask, expected_mask)
-    torch.testing.assert_close(
-        values, expected, rtol=0, atol=1e-6
-    )  # points at "infinity" are 8 388 608 m away
+    # Points at "infinity" are 8 388 608 m away
+    torch.testing.assert_close(values, expected, rtol=0, atol=1e-6)
 
 
 def test_convention_depth_is_along_the_ray() -> None:

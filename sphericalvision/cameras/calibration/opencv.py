@@ -172,9 +172,8 @@ def _kind(content: Keys, index: str, where: str, distortion_key: str, count: int
         if key and names is _FLAG:
             is_plain = meant not in ("1", "10", "true")
             meant = "" if is_plain else "equidistant"
-        if (
-            key and meant and not (meant == "none" and names[0] != MODEL[0])
-        ):  # any camera is a pinhole to some
+        # Any camera is a pinhole to some
+        if key and meant and not (meant == "none" and names[0] != MODEL[0]):
             models[key] = meant
     meanings = set(models.values()) - ({"radtan"} if "xi" in models else set())
     if len(meanings) > 1 or (is_plain and "equidistant" in meanings):

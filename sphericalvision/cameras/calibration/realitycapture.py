@@ -104,9 +104,8 @@ def _pose(values: Keys) -> Tensor:
         numbers(values.entry(key).split(), values.at(key), count)
         for key, count in (("Rotation", 9), ("Position", 3))
     )
-    rows = [
-        [*turn[row::3], place[row]] for row in range(3)
-    ]  # its transpose takes the camera's axes to the world
+    # Its transpose takes the camera's axes to the world
+    rows = [[*turn[row::3], place[row]] for row in range(3)]
     return transform_from_rows(rows, values.at("Rotation"))
 
 

@@ -56,9 +56,8 @@ def load(path: Path) -> Any:
             return with_keys(content, str(path))
         if start.startswith("%YAML"):  # "%YAML:1.0" is no directive that YAML knows
             text = text.replace("%YAML", "# ", 1)
-            text = re.sub(
-                r"^([ \t]*[\w.]+):(?=[^\s:])", r"\1: ", text, flags=re.MULTILINE
-            )  # its "key:1" is no pair to YAML
+            # Its "key:1" is no pair to YAML
+            text = re.sub(r"^([ \t]*[\w.]+):(?=[^\s:])", r"\1: ", text, flags=re.MULTILINE)
         return with_keys(parse_yaml(text, str(path)), str(path))
     except json.JSONDecodeError as error:
         remedy = "keep one of its values" if error.msg == "Extra data" else "is it truncated?"

@@ -49,9 +49,8 @@ def project_double_sphere(
     """
     limits = torch.finfo(points.dtype)
     x, y, z = components(points)
-    squared = (
-        torch.addcmul(x * x, y, y) + limits.tiny**0.5
-    )  # so that roots have derivatives at the camera's centre
+    # So that roots have derivatives at the camera's centre
+    squared = torch.addcmul(x * x, y, y) + limits.tiny**0.5
     first = torch.addcmul(squared, z, z).sqrt()
     shifted = torch.addcmul(z, xi, first)
     second = torch.addcmul(squared, shifted, shifted).sqrt()

@@ -100,9 +100,8 @@ def _profile(camera: OCamCamera, widest: Tensor) -> tuple[Tensor, Tensor]:
 def fit_inverse(angle: Float[Tensor, " n"], radius: Float[Tensor, " n"], degree: int) -> Float[Tensor, " k"]:
     """Ascending coefficients of the image radius (n,) in the angle from the image plane, ``angle`` (n,) − π/2."""
     theta = (angle - math.pi / 2).cpu().numpy()
-    fit = np.polynomial.Chebyshev.fit(
-        theta, radius.cpu().numpy(), degree
-    )  # powers would be all but dependent
+    # Powers would be all but dependent
+    fit = np.polynomial.Chebyshev.fit(theta, radius.cpu().numpy(), degree)
     coefficients = fit.convert(kind=np.polynomial.Polynomial).coef
     return torch.as_tensor(coefficients, dtype=radius.dtype, device=radius.device)
 

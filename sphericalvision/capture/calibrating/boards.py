@@ -101,9 +101,8 @@ class Board(ABC):
         apart, metres = torch.cdist(positions, positions), torch.cdist(points, points)
         metres.fill_diagonal_(torch.inf)
         neighbors = metres < 1.5 * metres.min(-1, keepdim=True).values
-        scale = (
-            (apart / metres).masked_fill(~neighbors, torch.inf).amin(-1).numpy()
-        )  # pixels a metre, foreshortened
+        # Pixels a metre, foreshortened
+        scale = (apart / metres).masked_fill(~neighbors, torch.inf).amin(-1).numpy()
         windows = np.clip(0.5 * self.clear * scale, *_WINDOWS).astype(int)
         ending = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
         fine = np.array(rough, np.float32)

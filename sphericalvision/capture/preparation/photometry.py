@@ -490,9 +490,8 @@ def _held(number: int, channels: int, like: Tensor) -> Tensor:
     size = number * channels
     own = torch.cat((like.new_full((size,), _HOLD_EXPOSURE), like.new_full((2 * number,), _HOLD_FALLOFF)))
     identity = torch.eye(number, dtype=like.dtype, device=like.device)
-    alike = torch.kron(
-        identity - 1 / number, identity.new_ones(2).diag()
-    )  # each camera's two, as all cameras' mean
+    # Each camera's two, as all cameras' mean
+    alike = torch.kron(identity - 1 / number, identity.new_ones(2).diag())
     return own.diag() + F.pad(_HOLD_ALIKE * alike, (size, 0, size, 0))
 
 

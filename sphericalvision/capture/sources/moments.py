@@ -119,9 +119,8 @@ def _paired_by_time(images: Images, clock: Clock, tolerance: float, key: str) ->
     times = {camera: _timed(clock.times[camera]) for camera in images}
     first, *others = images
     partners: dict[str, dict[str, str]] = {first: {name: name for name in times[first]}}
-    distances = {
-        first: dict.fromkeys(times[first], 0.0)
-    }  # to the nearest image of the camera that has none nearer
+    # To the nearest image of the camera that has none nearer
+    distances = {first: dict.fromkeys(times[first], 0.0)}
     for camera in others:
         forth, back = _nearest(times[first], times[camera]), _nearest(times[camera], times[first])
         partners[camera] = {

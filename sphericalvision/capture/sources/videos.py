@@ -111,9 +111,8 @@ def _described(
     rate, unit = float(stream.average_rate or 0), float(stream.time_base)
     times: list[float | None] = [None] * len(packets)
     if all(packet.stamp is not None for packet in packets):
-        packets = sorted(
-            packets
-        )  # a file has them in the order in which they are decoded, which may be another
+        # A file has them in the order in which they are decoded, which may be another
+        packets = sorted(packets)
         times = [packet.stamp * unit for packet in packets if packet.stamp is not None]
     missing = _missing(path, container, stream, times, bool(packets and packets[-1].is_cut))
     for _ in range(missing):  # what is missing has times, too, to be missing in the moments where it would be

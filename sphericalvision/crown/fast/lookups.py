@@ -88,9 +88,8 @@ def convolve_with_joined_border(
 
     It expects another memory format of the gradient of a padding than it gets.
     """
-    if (
-        col.ndim != 5 or not torch.is_grad_enabled() or not is_traced()
-    ):  # one pad is fewer operators than this
+    # One pad is fewer operators than this.
+    if col.ndim != 5 or not torch.is_grad_enabled() or not is_traced():
         return NotImplemented
     return convolve_rectangles(col, row, weight, bias, stride, relu, _join_border)
 

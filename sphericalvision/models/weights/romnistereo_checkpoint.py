@@ -63,9 +63,8 @@ def is_romnistereo(path: Path) -> bool:
     try:
         with zipfile.ZipFile(path) as file:
             (name,) = (name for name in file.namelist() if name.endswith("/data.pkl"))
-            return b"net_state_dict" in file.open(name).read(
-                2**20
-            )  # names of weights are within the first kilobytes
+            # Names of weights are within the first kilobytes
+            return b"net_state_dict" in file.open(name).read(2**20)
     except (
         ValueError,
         OSError,

@@ -114,9 +114,8 @@ class MeshFolder(Mapping[str, bytes]):
         name = name.strip()
         for spelled in (name, unquote(name), name.replace("\\", "/").rpartition("/")[2]):
             file = (self.folder / spelled).resolve()  # where links lead to
-            if (
-                file.is_relative_to(self.folder) and file.is_file()
-            ):  # no pipe, which could be waited for in vain
+            # No pipe, which could be waited for in vain
+            if file.is_relative_to(self.folder) and file.is_file():
                 return file.read_bytes()
         self.missing.append(f"{name}: no such file below {self.folder}")
         raise MissingFileError(self.missing[-1])

@@ -135,9 +135,8 @@ def _surfaces(
     direction, rows = rays.direction.flatten(1), row.flatten()
     normal, uv, inner = normals_and_uv(scene.primitives, position.flatten(1), direction, rows)
     light, glow = _albedo(table, uv, normal, direction, rows, (distance * spread).flatten())
-    side = (
-        row ^ -inner.view_as(row).long()
-    )  # -1 - row on the inner side: x ^ -1 is the complement, x ^ 0 is x
+    # -1 - row on the inner side: x ^ -1 is the complement, x ^ 0 is x
+    side = row ^ -inner.view_as(row).long()
     arriving = irradiance(scene, SurfaceSamples(position, normal.view_as(position), side))
     # A weight of 0 or 1 makes `lerp` a choice, which on a CPU is faster than `where`.
     light.mul_(torch.lerp(arriving.flatten(1), glow.expand_as(light), (glow > 0).to(glow)))

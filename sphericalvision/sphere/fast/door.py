@@ -95,9 +95,8 @@ def _sums_of_taps(
             bilinear_weight = (part[:, 0] if right else 1 - part[:, 0]) * (
                 part[:, 1] if down else 1 - part[:, 1]
             )
-            over = (row < 0) | (
-                row >= height
-            )  # beyond a pole, on the other side: between two for an odd width
+            # Beyond a pole, on the other side: between two for an odd width
+            over = (row < 0) | (row >= height)
             row = row.clamp(0, height - 1)
             for turn in (width // 2, (width + 1) // 2):
                 wrapped = torch.where(over, column + turn, column) % width

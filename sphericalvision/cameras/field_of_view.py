@@ -47,9 +47,6 @@ def visible_angle(camera: Camera, azimuth: Float[Tensor, "*azimuths"]) -> Float[
 
     Azimuth 0 is to the right and π/2 down, as in the image. 0 where nothing is seen.
 
-    Raises:
-        ArgumentError: the camera is a batch.
-
     Examples:
         >>> from sphericalvision.cameras import PinholeCamera
         >>> camera = PinholeCamera([100.0, 100.0], [99.5, 49.5], (100, 200))
@@ -95,9 +92,6 @@ def focal_length_on_axis(camera: Camera) -> Float[Tensor, " 2"]:
     """Pixels per radian at the optical axis along u and v, (2,), float64: comparable between models.
 
     NaN where the camera's model does not reach the axis.
-
-    Raises:
-        ArgumentError: the camera is a batch.
 
     Examples:
         >>> from sphericalvision.cameras import UnifiedCamera

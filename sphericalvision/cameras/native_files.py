@@ -65,11 +65,7 @@ def write_rig(
     world_from_camera: Float[Tensor, "n 4 4"],
     masks: Mapping[str, Bool[Tensor, " ..."]],
 ) -> None:
-    """Write a rig as YAML, which ``read_rig`` reads, and its masks as ``<stem>_<name>_mask.png`` beside it.
-
-    Raises:
-        ArgumentError: a camera is a batch, or its class is not registered.
-    """
+    """Write a rig as YAML, which ``read_rig`` reads, and its masks as ``<stem>_<name>_mask.png`` beside it."""
     path = Path(path)
     for camera in cameras.values():  # before a mask is written
         check_registered(camera)

@@ -152,11 +152,7 @@ class FusedCloud:
 
     @classmethod
     def load(cls, path: Path) -> FusedCloud:
-        """Read what ``save`` wrote.
-
-        Raises:
-            FileFormatError: it is something else.
-        """
+        """Read what ``save`` wrote."""
         keys = ("side", "frames", "cubes", "sums", "origin")
         arrays = read_npz(path, keys, MAX_STATE, "a fused cloud; delete it to fuse all frames again")
         try:

@@ -488,11 +488,7 @@ def arrays_of(views: Panoramas) -> dict[str, Any]:
 
 
 def read_shares(path: Path) -> dict[str, float]:
-    """Photo-consistency by frame, of a table whose last line may be torn; nothing if there is none.
-
-    Raises:
-        FileFormatError: it is no text.
-    """
+    """Photo-consistency by frame, of a table whose last line may be torn; nothing if there is none."""
     fractions: dict[str, float] = {}
     content = path.read_bytes() if path.is_file() else b""
     try:

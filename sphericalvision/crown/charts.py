@@ -122,9 +122,6 @@ def hex_pad(
         ``(B, 5, C, [N,] 2n + 2, n + 2)``, channels the fastest in memory if those of the values are; zero in the
         north-west and south-east corner, which are no neighbours of any vertex.
 
-    Raises:
-        ShapeError: if the shape is another one or V is not the number of vertices of an icosphere.
-
     Examples:
         >>> hex_pad(torch.arange(12.0).view(1, 1, 12))[0, 1, 0]
         tensor([[ 0.,  0.,  5.],

@@ -127,9 +127,6 @@ class CameraDisturbance:
         Args:
             sample: a frame before ``ToSphere``.
             generator: source of randomness; torch's global one when not given.
-
-        Raises:
-            ArgumentError: the images are on the icosphere already.
         """
         if isinstance(sample["images"], Tensor):
             raise ArgumentError(
@@ -217,11 +214,7 @@ class RandomFaults:
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> RandomFaults:
-        """Make them of plain values, as a file holds them: the amounts, ``disturbed`` and ``grey``.
-
-        Raises:
-            ArgumentError: names that are unknown or missing, or values that do not fit.
-        """
+        """Make them of plain values, as a file holds them: the amounts, ``disturbed`` and ``grey``."""
         amounts = dict(values)
         try:
             return cls(amounts.pop("disturbed"), amounts.pop("grey"), amounts)

@@ -75,11 +75,7 @@ def scene_kinds() -> tuple[str, ...]:
 
 
 def scene_recipe(name: str) -> Recipe:
-    """What makes the scenes of a kind.
-
-    Raises:
-        ArgumentError: there is no such kind, or the package that offers it cannot be imported.
-    """
+    """What makes the scenes of a kind."""
     make = KINDS.find(name)
     if make is None:
         check_choice("kind", name, scene_kinds())

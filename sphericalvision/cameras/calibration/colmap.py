@@ -198,9 +198,6 @@ def write_colmap(cameras: Camera | Mapping[str, Camera], path: str | Path) -> No
     """Write one camera or several as ``cameras.txt``, or in binary where ``path`` ends in ``.bin``.
 
     ``cam7`` becomes camera 7, other names are numbered from 1. Fields of view are not part of the format.
-
-    Raises:
-        ArgumentError: COLMAP has no such model; the message names formats that have it.
     """
     named = cameras if isinstance(cameras, Mapping) else {"cam1": cameras}
     if not named:
@@ -216,9 +213,6 @@ def write_colmap_rig(rig: CameraRig, path: str | Path) -> None:
 
     In text; in binary if ``path`` is not the folder but ``cameras.bin`` in it. The first camera becomes the reference
     sensor; poses in the world are those of the images. Fields of view and masks are not part of the format.
-
-    Raises:
-        ArgumentError: COLMAP has no such model; the message names formats that have it.
     """
     path = Path(path)
     suffixes = (path.suffix,) if path.suffix in (".bin", ".txt") else (".txt",)
@@ -242,9 +236,6 @@ def write_colmap_model(
         points: of the scene.
         sightings: by name of the image without suffix, pixels ``(k, 2)`` of ours, and the rows of the points there.
         suffixes: in which forms.
-
-    Raises:
-        ArgumentError: COLMAP has no such model; the message names formats that have it.
     """
     first = next(iter(frames.values()))
     cameras = _records(first.cameras)

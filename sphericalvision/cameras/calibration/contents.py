@@ -41,11 +41,7 @@ class Options:
     """Whether poses are wanted, where a file has fewer cameras than images with poses."""
 
     def given_size(self, where: str, keys: str = "it") -> tuple[int, int]:
-        """The size of the images, of which the file at ``where`` does not tell ``keys``.
-
-        Raises:
-            ArgumentError: the caller has not told it either.
-        """
+        """The size of the images, of which the file at ``where`` does not tell ``keys``."""
         if self.image_size is None:
             raise ArgumentError(f"image_size: {where} does not tell {keys}; pass image_size=(height, width)")
         return self.image_size

@@ -223,9 +223,6 @@ def check_understood(content: Any, where: str, ignored: str, way: str = "") -> N
         ignored: what does not matter in this format, as a regular expression for the whole way to a key, ``a/b`` being
             the key b in that of a; places in lists do not count.
         way: to ``content``.
-
-    Raises:
-        FileFormatError: there is one; the message names it.
     """
     if isinstance(content, list):
         entries = [inner for inner in content if isinstance(inner, Keys)]

@@ -76,11 +76,7 @@ class Lens:
         max_angle: float | None = None,
         skew: float | None = None,
     ) -> Camera:
-        """The camera of the numbers of a file, in its order; ``where`` names the place in errors.
-
-        Raises:
-            FileFormatError: the numbers make no sense.
-        """
+        """The camera of the numbers of a file, in its order; ``where`` names the place in errors."""
         if not self.names:
             return self._class(image_size=image_size, **self.options)
         if self.model == "atan" and numbers[self.names.index("omega")] == 0:  # which stands for no distortion
@@ -209,11 +205,7 @@ def models_of(lenses: Iterable[Lens]) -> tuple[str, ...]:
 
 
 def lens_of(camera: Camera, lenses: Sequence[Lens], format: str) -> tuple[Lens, list[float]]:
-    """The first lens of a table that holds a camera, and its numbers.
-
-    Raises:
-        ArgumentError: there is none; the message says what the format has.
-    """
+    """The first lens of a table that holds a camera, and its numbers."""
     check_holds(format, camera)
     candidates = [(lens, *lens.split(camera)) for lens in lenses if lens.model == camera.model]
     lens, numbers, beyond = min(candidates, key=lambda entry: len(entry[2]))  # the first of equals

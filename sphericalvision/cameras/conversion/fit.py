@@ -34,11 +34,7 @@ class Fit(NamedTuple):
 
 
 def fit_model(camera: Camera, model: FittedModel, held_out: Float[Tensor, "n 3"], limit: float) -> Fit:
-    """The best fit within ``limit``; the field of view shrinks to what the model reaches of ``held_out`` directions.
-
-    Raises:
-        ArgumentError: nothing is left.
-    """
+    """The best fit within ``limit``; the field of view shrinks to what the model reaches of ``held_out`` directions."""
     best: Tensor | None = None
     for _ in range(ROUNDS):
         samples = _samples(camera, limit, model)

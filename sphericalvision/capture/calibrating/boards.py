@@ -338,11 +338,7 @@ def read_board(path: str | Path) -> Board:
 
 
 def _grid(columns: int, rows: int) -> Tensor:
-    """Whole numbers (columns · rows, 3) of a grid, row by row: (column, row, 0).
-
-    Raises:
-        ArgumentError: there are more corners than on any board.
-    """
+    """Whole numbers (columns · rows, 3) of a grid, row by row: (column, row, 0)."""
     if columns * rows > _MOST:
         raise ArgumentError(
             f"columns, rows: expected {_MOST:,} corners at most, got {short_repr(columns)} x {short_repr(rows)}"

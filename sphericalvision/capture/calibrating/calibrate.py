@@ -279,11 +279,7 @@ def _astray(
 
 
 def _check_agreement(names: list[str], refined: RefinedRig, seen: Tensor, errors: Sequence[float]) -> None:
-    """Refuse a rig of cameras each of which explains its own pictures, and not those that it shares.
-
-    Raises:
-        ArgumentError: it names the camera.
-    """
+    """Refuse a rig of cameras each of which explains its own pictures, and not those that it shares."""
     used = refined.residuals.abs().sum(-1) > 0
     for place, (name, alone) in enumerate(zip(names, errors, strict=True)):
         count, enough = int(used[:, place].sum()), seen[:, place].sum(-1, keepdim=True) >= FEWEST

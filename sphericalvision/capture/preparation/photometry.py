@@ -213,9 +213,6 @@ class Photometer:
     Args:
         rig: a single rig.
         depth: as of ``calibrate_photometry``.
-
-    Raises:
-        ArgumentError: ``depth`` is not positive.
     """
 
     def __init__(self, rig: CameraRig, depth: float | None = None) -> None:

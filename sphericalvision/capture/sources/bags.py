@@ -329,9 +329,6 @@ def _topics(
         used: cameras in use.
         chosen: camera name -> topic.
         path: of the bag, for messages.
-
-    Raises:
-        ArgumentError: it cannot be told which topic is whose.
     """
     # What image_transport publishes raw and compressed is one picture, of which the raw one is as it was taken; unless
     # only a few of those were recorded.
@@ -389,11 +386,7 @@ def _numbered(topics: Sequence[str]) -> dict[str, str]:
 
 
 def _picture_of(message: Any, where: str) -> Picture:
-    """The picture of a message, ``(h, w)`` or ``(h, w, 3)``, RGB, of 8 or 16 bits.
-
-    Raises:
-        FileFormatError: its encoding is not known, or it is damaged.
-    """
+    """The picture of a message, ``(h, w)`` or ``(h, w, 3)``, RGB, of 8 or 16 bits."""
     if hasattr(message, "format"):
         return _decompressed(message, where)
     is_mosaic = MOSAIC.fullmatch(message.encoding) is not None

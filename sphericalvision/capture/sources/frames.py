@@ -56,9 +56,6 @@ class Selection(NamedTuple):
     def positions(self, count: int) -> range:
         """The selected positions of so many frames.
 
-        Raises:
-            ArgumentError: there is none.
-
         Examples:
             >>> list(Selection(1, None, 2).positions(6))
             [1, 3, 5]

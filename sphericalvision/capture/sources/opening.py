@@ -94,11 +94,7 @@ class _Opening:
         return labels
 
     def _joined(self, pattern: str) -> ImageFiles:
-        """Pictures with the views of all cameras.
-
-        Raises:
-            ArgumentError: the first picture does not hold so many views.
-        """
+        """Pictures with the views of all cameras."""
         if "{" not in pattern and not Path(pattern).expanduser().is_file():
             raise ArgumentError(
                 f"images: expected a pattern with {{camera}} and, if there are several frames, {{frame}}, such as "
@@ -158,12 +154,7 @@ def _labelled(source: Source, labels: Mapping[str, str]) -> Source:
 
 
 def _of_folder(folder: Path, opening: _Opening) -> Source:
-    """The one kind of files in a folder that every camera has.
-
-    Raises:
-        ArgumentError: there are several kinds, such as pictures and thumbnails.
-        MissingFileError: there is none.
-    """
+    """The one kind of files in a folder that every camera has."""
     excluded = {path.resolve() for path in opening.leave_out}
     files = [
         file

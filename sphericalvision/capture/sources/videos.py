@@ -247,11 +247,7 @@ class _Decoder:
                 continue
 
     def read(self, position: int) -> Picture:
-        """The picture at a position ``(h, w, 3)``, RGB, as it is stored: not turned.
-
-        Raises:
-            FileFormatError: it is damaged, or behind the end of the file.
-        """
+        """The picture at a position ``(h, w, 3)``, RGB, as it is stored: not turned."""
         stream = self.stream
         if position >= len(stream.stamps):
             raise FileFormatError(

@@ -153,11 +153,7 @@ def _load(library: Path) -> None:
 
 
 def _folder() -> Path:
-    """The folder of the library, which only this user may write to.
-
-    Raises:
-        OSError: there is none, and none can be made.
-    """
+    """The folder of the library, which only this user may write to."""
     named = os.environ.get("XDG_CACHE_HOME")
     try:
         folder = (Path(named) if named else Path.home() / ".cache") / "sphericalvision"
@@ -178,11 +174,7 @@ def _is_own(found: os.stat_result, allowed: int) -> bool:
 
 @cache
 def _compiler() -> tuple[str, str]:
-    """The compiler and what it says of itself.
-
-    Raises:
-        MissingCompilerError: there is none.
-    """
+    """The compiler and what it says of itself."""
     command = os.environ.get("CXX") or "c++"
     found = shutil.which(command)
     if found is None:
@@ -277,11 +269,7 @@ def _compile(library: Path, before: list[str]) -> None:
 
 
 def _run_all(commands: Iterator[list[str]] | list[list[str]]) -> None:
-    """Run commands side by side.
-
-    Raises:
-        RuntimeError: with what matters of the output of one that fails.
-    """
+    """Run commands side by side."""
     _State.processes = [
         subprocess.Popen(
             command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, errors="replace"

@@ -117,9 +117,6 @@ def yaw_on_sphere(
 def num_yaw_steps(grid: SphereGrid) -> int:
     """Return how many turns about the vertical map a grid onto itself.
 
-    Raises:
-        ArgumentError: if they are not known for this grid.
-
     Examples:
         >>> num_yaw_steps(Icosphere(3)), num_yaw_steps(Equirectangular(32, 64))
         (5, 64)

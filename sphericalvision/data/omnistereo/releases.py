@@ -142,9 +142,6 @@ def check_scale(root: str | Path, release: Release, min_depth: float, radius: fl
     In both releases the minimum depth is 2.75 times the rig's radius; mixed, it is 0.92 or 8.25 times. A
     minimum depth below the radius is refused for any rig, since the nearest sphere of a sweep would leave the
     cameras outside. The factor 8.25 is refused at the published size only: small rigs may well look so far.
-
-    Raises:
-        FileFormatError: the scales do not belong together; the message says what was found and what is valid.
     """
     small, large = RELEASES["png"], RELEASES["tiff"]
     far_for_small = min_depth / large.min_depth > 0.8 and 0.8 < radius / small.radius < 1.25
@@ -158,11 +155,7 @@ def check_scale(root: str | Path, release: Release, min_depth: float, radius: fl
 
 
 def read_min_depth(config: str | Path) -> float | None:
-    """Minimum depth in metres from a config.yaml, None if it has none.
-
-    Raises:
-        FileFormatError: the file is no YAML mapping, or the depth is not a positive number.
-    """
+    """Minimum depth in metres from a config.yaml, None if it has none."""
     config = check_file(config, "calibration and minimum depth")
     content = load(config)
     section = content.get("config") if isinstance(content, dict) else None
@@ -182,9 +175,6 @@ def index_frames(
     """Map frame numbers to files, whatever the number of digits; five digits win where both exist.
 
     OmniThings needs this: its first folder numbers with five digits, the other three with four.
-
-    Raises:
-        MissingFileError: there is no such folder.
     """
     names = list_folder(folder, what)
     numbered = [

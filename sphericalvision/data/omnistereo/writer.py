@@ -139,11 +139,7 @@ def _write_frame(
 
 
 def _stored_rig(rig: CameraRig, layout: Release) -> CameraRig:
-    """The rig as its files can hold it: cameras cam1, cam2, ..., all of them OCam or any.
-
-    Raises:
-        ArgumentError: cameras that no OCam model describes, which only config.yaml can hold.
-    """
+    """The rig as its files can hold it: cameras cam1, cam2, ..., all of them OCam or any."""
     masks = {f"cam{k}": rig.masks[name] for k, name in enumerate(rig.names, start=1) if name in rig.masks}
     poses = rig.world_from_camera.detach().cpu().double()
     if any(isinstance(camera, EquirectangularCamera) for camera in rig.cameras.values()):

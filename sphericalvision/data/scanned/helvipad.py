@@ -77,9 +77,6 @@ class HelvipadDataset(ScannedFrames):
         transform: of each sample.
         augmented: learn from the augmented maps of depth, which are denser, and interpolated.
 
-    Raises:
-        MissingFileError: the folder or a split is not there, or no frame is complete.
-
     References:
         M. Zayene et al., "Helvipad: a real-world dataset for omnidirectional stereo depth estimation", CVPR 2025.
     """

@@ -43,9 +43,6 @@ class Kitti360Dataset(ScannedFrames):
         height: rows of the panorama of truth.
         transform: of each sample.
 
-    Raises:
-        MissingFileError: files of the set are not there.
-
     References:
         Y. Liao, J. Xie, A. Geiger, "KITTI-360", PAMI 45 (2023).
     """

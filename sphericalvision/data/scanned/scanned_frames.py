@@ -45,6 +45,9 @@ class ScannedFrames(Dataset[Sample]):
         truths: frame -> file that its points are from, where ``take`` is told.
         fixed_rig: of all frames, if it is the same.
         left_out: sentences about frames that lack something.
+
+    Raises:
+        MissingFileError: the folder, a split or files of the set are missing, or no frame is complete.
     """
 
     root_name = "root"
@@ -118,11 +121,7 @@ class ScannedFrames(Dataset[Sample]):
             )
 
     def take(self, frames: Iterable[tuple[str, Mapping[str, Path], Path]], where: str) -> None:
-        """Have the frames of which all files are there: the name of each, its images by camera, and its truth.
-
-        Raises:
-            MissingFileError: none is complete; ``where`` says what was expected.
-        """
+        """Have the frames of which all files are there: the name of each, its images by camera, and its truth."""
         images: dict[str, Mapping[str, Path]] = {}
         truths: dict[str, Path] = {}
         lacking: dict[str, str] = {}
@@ -134,11 +133,7 @@ class ScannedFrames(Dataset[Sample]):
         self.names = self.complete(list(images), lacking, where)
 
     def complete(self, wanted: Sequence[str], lacking: Mapping[str, str], where: str) -> list[str]:
-        """Those of the wanted frames that lack nothing; the others are counted in ``left_out``.
-
-        Raises:
-            MissingFileError: none is complete.
-        """
+        """Those of the wanted frames that lack nothing; the others are counted in ``left_out``."""
         complete = [name for name in wanted if name not in lacking]
         first = next(iter(lacking.items()), ("", ""))
         if not complete:

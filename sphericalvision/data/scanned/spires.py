@@ -38,9 +38,6 @@ class SpiresDataset(ScannedFrames):
         transform: of each sample.
         tolerance: seconds between images and cloud, at most; others are left out and counted.
 
-    Raises:
-        MissingFileError: files of the set are not there.
-
     References:
         Y. Tao et al., "The Oxford Spires dataset", IJRR 44 (2025).
     """

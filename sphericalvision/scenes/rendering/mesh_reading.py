@@ -23,11 +23,7 @@ SPECULAR = "KHR_materials_pbrSpecularGlossiness"
 
 
 def load_mesh(path: Path) -> trimesh.Scene:
-    """Read a mesh and the textures that it names; a warning says which of these could not be had.
-
-    Raises:
-        FileFormatError: it cannot be read.
-    """
+    """Read a mesh and the textures that it names; a warning says which of these could not be had."""
     folder, suffix = MeshFolder(path.parent), path.suffix.lower()
     if suffix in (".gltf", ".glb"):
         check_gltf(path)

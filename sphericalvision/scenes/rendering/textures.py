@@ -30,11 +30,7 @@ VARIANTS, SIZE = 4, 256
 
 
 def photograph(name: str, size: int = SIZE) -> Tensor:
-    """One of :data:`PHOTOGRAPHS`, cropped to a square: ``(3, size, size)`` linear intensities in [0, 1].
-
-    Raises:
-        MissingFileError: the file is not part of the installed scikit-image.
-    """
+    """One of :data:`PHOTOGRAPHS`, cropped to a square: ``(3, size, size)`` linear intensities in [0, 1]."""
     import skimage.color  # a second to import
     import skimage.data
     import skimage.io

@@ -171,6 +171,7 @@ perspective_views(torch.rand(3, 32, 64), [(0.0, 0.0)]) -> views: Shape
 perspective_views(torch.rand(3, 32, 64), [(0, 0, 0)], 3.2) -> field_of_view: Argument
 convert(camera(), to='fishy') -> to: Argument
 convert(camera(), to=int) -> to: Argument
+convert(camera(), to=1) -> to: Argument
 convert(camera(), EquirectangularCamera) -> to: Argument
 convert(EquirectangularCamera((32, 64)), 'ocam') -> to: Argument
 convert(camera(), 'brown_conrady', num_coefficients=6) -> num_coefficients: Argument
@@ -202,6 +203,8 @@ compare_cameras(camera(), camera().resized((16, 20))) -> second: Argument
 compare_cameras(camera(), camera(), [0, 40, 80]) -> angles: Argument
 read_camera(3) -> path: ArgumentType
 save_camera(3, 'x.yaml') -> camera: ArgumentType
+save_camera(camera(), 'x.yaml', 'yaml') -> format: Argument
+save_camera(pinhole(), 'x.txt', 'opencv') -> path: Argument
 CameraRig([], torch.zeros(0, 4, 4)) -> cameras: Argument
 CameraRig(camera(), EYES) -> cameras: ArgumentType
 CameraRig(['front'], EYES) -> cameras['cam1']: ArgumentType
@@ -216,11 +219,18 @@ CameraRig([camera()], EYES, {'cam1': np.ones(SIZE)}) -> masks['cam1']: ArgumentT
 CameraRig([camera()], EYES, {'cam1': torch.ones(SIZE)}) -> masks['cam1']: Argument
 CameraRig([camera()], EYES, {'x': torch.ones(SIZE)}) -> masks: Argument
 rig().subset(['front']) -> cameras: Argument
+rig().permuted([0, 1, 2, 2]) -> order: Argument
 rig().resized({'front': (20, 24)}) -> image_size: Argument
 CameraRig([camera()], EYES, around=['cam5']) -> around: Argument
 CameraRig.stack([rig(), CameraRig(rig().cameras, rig().world_from_camera, around=['cam1'])]) -> rigs: Argument
+CameraRig.stack([rig(), CameraRig({**rig().cameras, 'cam1': pinhole()}, rig().world_from_camera)]) -> rigs: Argument
 Trajectory(['a', 'b'], EYES.repeat(2, 1, 1)).windows(3) -> size: Argument
+Trajectory(['a', 'b'], EYES.repeat(2, 1, 1)).windows(2, spacing=0.3) -> spacing: Argument
+Trajectory(['0.0', '0.1', '0.2'], EYES.repeat(3, 1, 1)).of_images(['000', '001']) -> images: Argument
+read_trajectory('none.txt') -> none.txt: MissingFile
+read_trajectory('.') -> .: MissingFile
 rig().rotated(rotation=2 * EYE) -> rotation: Argument
+rig().rotated(EYE) -> tilt: Argument
 rig().project(POINTS) -> points: ArgumentType
 rig().project(DIRECTIONS[0]) -> points: Shape
 rig().points_seen(torch.ones(2, 2, 3), torch.zeros(1)) -> directions: Shape
@@ -234,6 +244,7 @@ ring_rig(4, radius=0.0) -> radius: Argument
 ring_rig(4, radius=NAN) -> radius: Argument
 read_rig(3) -> path: ArgumentType
 save_rig(camera(), 'x.yaml') -> rig: ArgumentType
+save_rig(rig(), 'x.txt', 'ocamcalib') -> format: Argument
 coverage(camera(), DIRECTIONS, [1.0]) -> rig: ArgumentType
 coverage(ring_rig(3), torch.ones(2, 2, 3), [1.0]) -> directions: Shape
 coverage(ring_rig(3), torch.eye(3), [1.0, 0.0]) -> depths: Argument
@@ -718,6 +729,10 @@ refine(camera(), BOARD, torch.ones(2, 5, 2)) -> pixels: Shape
 refine(EquirectangularCamera((100, 200)), BOARD, torch.ones(2, 6, 2)) -> camera: Argument
 refine_rig(rig(), BOARD, torch.ones(2, 4, 6, 2), intrinsics=('omega',)) -> intrinsics: Argument
 refine_rig(rig(), BOARD, torch.ones(2, 3, 6, 2)) -> pixels: Shape
+register_aggregation('variance', Concatenation) -> aggregation: Argument
+register_network('module', torch.nn.Linear) -> network: Argument
+load_reference_checkpoint('absent.pth') -> absent.pth: MissingFile
+net().with_changes(nonesuch=1) -> nonesuch: Argument
 """
 """The call -> the argument that the message begins with: the type of the error, ``ArgumentError`` or another."""
 

@@ -60,8 +60,13 @@ def test_it_runs_on_the_meta_device(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_it_takes_a_batch_of_none(name: str) -> None:
-    assert call(name, Inputs("cpu", sizes={1: 0, 5: 0}))
+def test_it_takes_a_batch_of_none_and_has_gradients_of_it(name: str) -> None:
+    inputs = Inputs("cpu", sizes={1: 0, 5: 0})
+    assert call(name, inputs)
+    leaves = [x.requires_grad_() if x.is_floating_point() else x for _, x in inputs.made]
+    for found in call(name, Inputs("cpu", replayed=iter(leaves))):
+        if found.requires_grad:
+            found.sum().backward(retain_graph=True)
 
 
 @names(
@@ -72,6 +77,40 @@ def test_autocast_leaves_its_numbers_alone(name: str) -> None:
     expected = call(name, Inputs("cpu", sizes={5: 500}))
     with torch.autocast("cpu", torch.bfloat16):
         assert_same(call(name, Inputs("cpu", sizes={5: 500})), expected)
+
+
+CONVOLUTIONS = """CrownConv2d CrownConv3d HexConv2d HexConv3d HexLiftConv2d HexGroupConv2d crown_conv2d crown_conv3d
+hex_conv2d hex_conv3d hex_lift_conv2d hex_group_conv2d SphereConv2d sphere_conv2d make_seamless"""
+
+
+@pytest.mark.parametrize("way", ["plain", "graph", "reference"])
+@pytest.mark.parametrize("name", CONVOLUTIONS.split())
+def test_autocast_casts_convolutions_as_those_of_torch(name: str, way: str) -> None:
+    expected = call(name, Inputs("cpu"))
+    with kernels(way), torch.autocast("cpu", torch.bfloat16):
+        found = call(name, Inputs("cpu"))
+    assert {x.dtype for x in found} == {torch.bfloat16}
+    assert_same([x.float() for x in found], expected, 0.02)
+
+
+@pytest.mark.parametrize("name", [name for name in CONVOLUTIONS.split() if "_conv" in name])
+def test_transforms_of_functions_equal_the_loop(name: str) -> None:
+    """A gradient for every sample and each of an ensemble of weights; by one input alone it is the same."""
+    inputs = Inputs("cpu", torch.float64)
+    call(name, inputs)
+    several = [torch.stack((x, x.flip(-1))) for _, x in inputs.made]
+
+    def loss(*leaves: Tensor) -> Tensor:
+        results = call(name, Inputs("cpu", torch.float64, replayed=iter(leaves)))
+        return torch.stack([x.square().sum() for x in results]).sum()
+
+    gradients = torch.func.grad(loss, tuple(range(len(several))))
+    together = torch.func.vmap(gradients)(*several)
+    for number in range(2):
+        leaves = [x[number] for x in several]
+        for index, found in enumerate(together):
+            alone = [x.clone().requires_grad_(i == index) for i, x in enumerate(leaves)]
+            assert_same([found[number]], list(torch.autograd.grad(loss(*alone), alone[index])), 1e-9)
 
 
 @names(

@@ -96,6 +96,7 @@ class CandidateRefinement(nn.Module):
         self.exit = HexConv2d(width, 4 + 3, bias=True)
         with torch.no_grad():
             self.exit.weight.zero_()
+            # Of four candidates the mean, the first one, has e³ times the weight of each other.
             self.exit.bias.copy_(torch.tensor([3.0, 0, 0, 0, 0, 0, RARE]))  # type: ignore[union-attr]
 
     def forward(
@@ -119,6 +120,7 @@ class CandidateRefinement(nn.Module):
         color, deviation, cameras = appearance
         _, nearest, farthest, _ = color.unbind(1)
         mean = index[:, :1]
+        # Factors bring clues to like sizes, and a single far candidate has no more to say than one 8 hypotheses away.
         entries = (
             ((index - mean) / 4).detach().clamp(-2, 2),
             3 * deviation,

@@ -17,6 +17,7 @@ from sphericalvision.models.tried_hypotheses import best_mode
 from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth
 
 PRIOR_FLOOR = -8.0
+"""Logarithm of a probability below which layers need not tell hypotheses apart: a third of a thousandth."""
 STRENGTH = 4.0
 """Of the residual, so that layers may be small."""
 MAX_CAMERAS = 6
@@ -106,6 +107,7 @@ class LogitFusion(nn.Module):
         number = clues.mean.shape[1]
         color, deviation, cameras = (values[:, 0] for values in appearance)
         ones = torch.ones_like(start)
+        # Here and in ``entries`` factors bring clues to like sizes: layers begin with weights of one size for all.
         numbers = (
             start / number,
             2 * deviation,
@@ -133,4 +135,5 @@ class LogitFusion(nn.Module):
 
     def _weights(self, gates: Tensor) -> tuple[Tensor, ...]:
         """Factors ``(B, 1, V)`` of costs and prior from gates ``(B, 2, V)``."""
+        # A gate changes a factor by 20 times at most, or ``exp`` would make infinities of large gates.
         return (self.sharpness[:, None] + gates.clamp(-3, 3)).exp().split(1, 1)

@@ -35,7 +35,6 @@ VALUES: dict[str, list[tuple[str, Any, str]]] = {  # file -> the way to a value,
         ("model_type", "CATADIOPTRIC", "model_type: expected one of MEI, PINHOLE, KANNALA_BRANDT, SCARAMUZZA"),
         ("mirror_parameters/xi", -2.0, "xi: expected numbers above -1"),
         ("image_width", 0, "image_width and image_height: expected the width and height"),
-        ("projection_parameters", {"gamma1": 1.0}, "projection_parameters: the key"),
     ],
     "fisheye.yaml": [
         ("Camera.nrpol", 6, "the key 'Camera.a5' is missing"),
@@ -131,7 +130,6 @@ WORDS: dict[str, list[tuple[str, str, str]]] = {  # file -> what stands in it, w
     "calib_cam_to_cam.txt": [
         ("D_01: -0.36 ", "D_01: ", "line 13, D_01: expected 5 numbers, got 4"),
         ("T_01: 0", "T_01: nan", "line 15, T_01: expected finite numbers"),
-        ("S_00: 1392", "S_09: 1392", "the key 'S_00' is missing; found calib_time, corner_dist, S_09"),
         ("R_01: 0 0 -1", "R_01: 0 0 -2", "line 14, R_01: expected a rotation"),
         ("K_01: 989.5 0.0", "K_01: 989.5 0.5", "line 12, K_01: expected fx 0 cx 0 fy cy 0 0 1"),
         ("T_01:", "T_00:", "line 15: expected a key of its own first, got 'T_00:'"),
@@ -161,15 +159,12 @@ WORDS: dict[str, list[tuple[str, str, str]]] = {  # file -> what stands in it, w
         ('Skew="0"', 'Skew="0.1"', "Skew: expected 0"),
         ('"brown3t2"', '"division"', "DistortionModel: expected perspective or"),
         ("-0.0105 0 ", "-0.0105 0.3 ", "without a fourth radial coefficient"),
-        ('xcr:FocalLength35mm="24.5"', "", "FocalLength35mm is missing; found "),
         (">0 -1 0 0 0 -1", ">0 -1 0 0 0", "Rotation: expected 9 numbers, got 8"),
-        ("xcr:Skew", "xcr:Skewed", "'Skewed' is not"),
         ('xcr:Skew="0"', 'xcr:Skew="0" xcr:Scale="3"', "'Scale' is not understood"),
     ],
     "front.cameramodel": [
         ("OPENCV5", "SPLINED_STEREOGRAPHIC_order=3", "lensmodel: expected one of"),
         ("-1.5707963267948966", "-90", "extrinsics: expected a rotation vector in radians"),
-        ("extrinsics'", "extrinsic'", "'extrinsics' is missing"),
         ("icam_", "roi_", "'roi_intrinsics' is not understood"),
     ],
     "svo.yaml": [
@@ -190,7 +185,6 @@ WORDS: dict[str, list[tuple[str, str, str]]] = {  # file -> what stands in it, w
     "blender.json": [
         ('"shift_x"', '"pixel_aspect_x": 2.0, "pixel_aspect_y": 1.0, "shift_x"', "pixel_aspect_x and pixel_aspect_y: "),
     ],
-    "DS.yml": [("xi", "beta", "'xi' is missing")],
     "lens.json": [
         ('"fps"', '"use_opencv_standard": true, "fps"', "use_opencv_standard: expected none"),
         ('"name"', '"distortion_model": "poly5", "name"', "distortion_model: expected opencv_fisheye"),

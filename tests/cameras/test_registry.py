@@ -144,12 +144,6 @@ def test_installed_packages_offer_cameras_as_entry_points(
     assert math.isclose(convert(own_camera(), ParabolicCamera).max_error, 0.0, abs_tol=1e-3)
 
 
-@pytest.mark.parametrize("make", [lambda: 1, lambda: "pinhole hole", lambda: dict])
-def test_what_is_no_camera_cannot_be_converted_to(make) -> None:
-    with pytest.raises(ArgumentError, match="to: expected"):
-        convert(PinholeCamera([50.0, 50.0], [9.5, 9.5], (20, 20)), make())
-
-
 def test_a_camera_that_does_not_say_how_it_is_fitted_is_no_target() -> None:
     class Silent(PinholeCamera):
         """A pinhole that says nothing."""

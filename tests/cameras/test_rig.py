@@ -8,7 +8,7 @@ import math
 import pytest
 import torch
 
-from sphericalvision.cameras import CameraRig, DoubleSphereCamera, FisheyeCamera, ring_rig, sample_sphere
+from sphericalvision.cameras import CameraRig, FisheyeCamera, ring_rig, sample_sphere
 from sphericalvision.geometry import transform_from_axis_angle
 
 UP, DOWN, FORWARD, RIGHT = (torch.tensor(d) for d in ([0.0, -1, 0], [0.0, 1, 0], [0.0, 0, 1], [1.0, 0, 0]))
@@ -81,10 +81,6 @@ def test_rotation_turns_the_whole_rig() -> None:
     quarter = transform_from_axis_angle(torch.tensor([0.0, math.pi / 2, 0.0]), torch.zeros(3))[:3, :3]
     turned = rig.rotated(rotation=quarter)
     torch.testing.assert_close(turned.world_from_camera, rig.permuted([1, 2, 3, 0]).world_from_camera)
-    with pytest.raises(ValueError, match="rotation="):
-        rig.rotated(quarter)
-    with pytest.raises(ValueError, match="rotation: expected rotations"):
-        rig.rotated(rotation=2 * torch.eye(3))
 
 
 def test_subset_and_permutation_keep_names_poses_and_masks_together() -> None:
@@ -95,10 +91,6 @@ def test_subset_and_permutation_keep_names_poses_and_masks_together() -> None:
     assert chosen.names == ["cam3", "cam2"]
     assert list(chosen.masks) == ["cam3"]
     torch.testing.assert_close(chosen.axes, torch.stack((-FORWARD, RIGHT)))
-    with pytest.raises(ValueError, match=r"cam1, cam2, cam3, cam4.*got 'front'"):
-        rig.subset(["front"])
-    with pytest.raises(ValueError, match="permutation of 0 to 3"):
-        rig.permuted([0, 1, 2, 2])
 
 
 def test_stack_shares_what_is_equal_and_select_undoes_it() -> None:
@@ -116,13 +108,6 @@ def test_stack_shares_what_is_equal_and_select_undoes_it() -> None:
         again = batch.select(index)
         torch.testing.assert_close(again.world_from_camera, rig.world_from_camera)
         assert all(again.cameras[name].equals(camera) for name, camera in rig.cameras.items())
-
-
-def test_stack_of_different_models_is_refused() -> None:
-    rig = small_ring()
-    other = DoubleSphereCamera([30.0, 30.0], [31.5, 31.5], -0.2, 0.6, (64, 64), 1.8)
-    with pytest.raises(ValueError, match="cam1 cannot be stacked"):
-        CameraRig.stack([rig, CameraRig({**rig.cameras, "cam1": other}, rig.world_from_camera)])
 
 
 def test_stack_keeps_different_masks_apart() -> None:

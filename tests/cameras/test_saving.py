@@ -38,13 +38,6 @@ PLAIN = BrownConradyCamera([300.1, 299.9], CENTER, [-0.1, 0.02, 1e-3, -1e-3, 0.0
 POLYNOMIAL = RadialPolynomialCamera([99.0, -9.0, 14.0, -2.1], CENTER, 1.01, SIZE)
 
 
-def test_unknown_format_names_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="format: expected one of native, asl, basalt, colmap"):
-        save_camera(PLAIN, tmp_path / "a.yaml", format="yaml")
-    with pytest.raises(ValueError, match=r"format: expected one of native, asl.*got 'ocamcalib'"):
-        save_rig(ring_rig(), tmp_path / "a.txt", format="ocamcalib")
-
-
 @pytest.mark.parametrize("format", CAMERA_FORMATS)
 def test_batch_of_cameras_is_refused(tmp_path: Path, format: str) -> None:
     batch = KannalaBrandtCamera(torch.ones(2, 2), torch.ones(2, 2), torch.zeros(2, 4), SIZE, 1.0)
@@ -105,11 +98,6 @@ def test_what_a_format_cannot_hold_is_refused_with_a_way_out(
     with pytest.raises(ValueError, match=message):
         (save_camera if isinstance(thing, Camera) else save_rig)(thing, tmp_path / "file.yaml", format)  # type: ignore[operator]
     assert not list(tmp_path.iterdir())
-
-
-def test_opencv_tells_its_kind_of_file_by_the_suffix(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"expected the suffix \.yaml"):
-        save_camera(PLAIN, tmp_path / "camera.txt", format="opencv")
 
 
 def test_own_yaml_returns_the_same_rig(tmp_path: Path) -> None:

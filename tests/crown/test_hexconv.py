@@ -23,7 +23,6 @@ from sphericalvision.crown import (
 )
 from sphericalvision.icosphere import icosphere_neighbors, icosphere_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.topology import coarse_vertex_ids, vertex_at
-from sphericalvision.kernels import kernels
 from tests.values import random_values
 
 # The gap and where the ring starts, as the documentation states it for valence five: (gap, tap, towards).
@@ -233,20 +232,6 @@ def test_channels_are_the_fastest_in_memory_whatever_comes_in() -> None:
     layer, values = HexConv2d(3, 5, bias=True).double(), random_values(2, 3, 162)
     for given in (values, values.mT.contiguous().mT):
         assert layer(given).stride(1) == 1
-
-
-@pytest.mark.parametrize("way", ["plain", "graph", "reference"])
-@pytest.mark.parametrize("stride", [1, 2])
-@pytest.mark.parametrize("orientation", ["chart", "north"])
-def test_autocast_casts_as_it_does_other_convolutions(way: str, stride: int, orientation: str) -> None:
-    plane = HexConv2d(3, 5, stride, bias=True, orientation=orientation, level=2)
-    volume = HexConv3d(3, 5, stride, bias=True, orientation=orientation, level=2)
-    for layer, values in ((plane, random_values(2, 3, 162)), (volume, random_values(2, 3, 4, 162))):
-        expected = layer(values.float())
-        with kernels(way), torch.autocast("cpu", torch.bfloat16):
-            found = layer(values.float())
-        assert found.dtype == torch.bfloat16
-        torch.testing.assert_close(found.float(), expected, rtol=0, atol=0.03)
 
 
 def test_modules() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import pytest
 import torch
 
 from sphericalvision.geometry import bilinear_sample
@@ -66,12 +65,3 @@ def test_leading_dimensions_broadcast(generator: torch.Generator) -> None:
     for i in range(2):
         for j in range(3):
             torch.testing.assert_close(together[i, j], bilinear_sample(images[i, j], pixels[j]))
-
-
-@pytest.mark.parametrize(("batch", "number"), [((), 0), ((0,), 4), ((2, 3), 0)])
-def test_no_pixels_have_no_values(batch: tuple[int, ...], number: int) -> None:
-    image = torch.rand(*batch, 3, 4, 5, requires_grad=True)
-    found = bilinear_sample(image, torch.zeros(*batch, number, 2))
-    assert found.shape == (*batch, 3, number)
-    found.sum().backward()
-    assert not image.grad.any()  # type: ignore[union-attr]

@@ -252,6 +252,7 @@ CALLS: dict[str, Callable[[], Any]] = {
     "bilinear_sample": lambda: (
         geometry.bilinear_sample(m(3, 4, 8), m(5, 2), wrap_longitude=True),
         geometry.bilinear_sample(m(3, 4, 8), m(5, 2)),
+        geometry.bilinear_sample(m(1, 3, 4, 8), m(1, 4, 2)),
     ),
     "directions_from_longitude_latitude": lambda: geometry.directions_from_longitude_latitude(m(5), m(5)),
     "longitude_latitude_from_directions": lambda: geometry.longitude_latitude_from_directions(m(5, 3)),

@@ -106,36 +106,3 @@ def test_sums_of_rows_are_the_sampled_image(
     for answers in zip(*results, strict=True):
         for answer in answers[1:]:
             torch.testing.assert_close(answer, answers[0], rtol=0, atol=1e-11)
-
-
-def test_gradients_of_one_input_only() -> None:
-    images, weight = random_values(1, 2, 6, 12), random_values(3, 2, 3, 3)
-    both = torch.autograd.grad(
-        sphere_conv2d(images.requires_grad_(), weight.requires_grad_()).square().sum(), (images, weight)
-    )
-    (alone,) = torch.autograd.grad(sphere_conv2d(images.detach(), weight).square().sum(), weight)
-    torch.testing.assert_close(alone, both[1])
-    (alone,) = torch.autograd.grad(sphere_conv2d(images, weight.detach()).square().sum(), images)
-    torch.testing.assert_close(alone, both[0])
-
-
-def test_function_transforms() -> None:
-    """A gradient for every sample, and an ensemble of weights, by ``torch.func``."""
-    images, weights = random_values(3, 2, 6, 12), random_values(2, 4, 2, 3, 3)
-
-    def loss(image: Tensor, weight: Tensor) -> Tensor:
-        return sphere_conv2d(image[None], weight).square().sum()
-
-    found = torch.func.vmap(torch.func.grad(loss), (0, None))(images, weights[0])
-    for image, gradient in zip(images, found, strict=True):
-        torch.testing.assert_close(gradient, torch.func.grad(loss)(image, weights[0]))
-    ensemble = torch.func.vmap(lambda weight: sphere_conv2d(images, weight))(weights)
-    torch.testing.assert_close(ensemble[1], sphere_conv2d(images, weights[1]))
-
-
-def test_mixed_precision() -> None:
-    layer, images = SphereConv2d(2, 3), random_values(1, 2, 6, 12).float()
-    with torch.autocast("cpu", torch.bfloat16):
-        result = layer(images)
-    assert result.dtype == torch.bfloat16
-    torch.testing.assert_close(result.float(), layer(images), rtol=0.02, atol=0.02)

@@ -8,11 +8,9 @@ import torch
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.sweep import (
-    Aggregation,
     Concatenation,
     MeanVariance,
     SweepVolume,
-    register_aggregation,
 )
 from sphericalvision.sweep.aggregation import named_aggregation
 
@@ -76,11 +74,6 @@ def test_aggregations_by_name(generator: torch.Generator, name: str) -> None:
         )
 
 
-def test_a_name_belongs_to_one_class() -> None:
-    class Other(Aggregation):
-        pass
-
-    with pytest.raises(ArgumentError, match=r"'variance' is .*MeanVariance already"):
-        register_aggregation("variance", Other)
+def test_an_unknown_name_is_told_all_known_ones() -> None:
     with pytest.raises(ArgumentError, match=r"aggregation.*'concatenation'.*'variance'.*'median'"):
         named_aggregation("median", 3, 4)

@@ -59,6 +59,7 @@ def project_atan(
     angle = torch.atan2(_slope_of_plane(omega) * radius, z)
     scale = angle / (omega * radius)
     pixels = pixels_from_plane(x * scale, y * scale, focal_length, principal_point)
+    # Not on the backward axis, where the azimuth is rounding.
     return Projection(pixels, torch.maximum(radius, z) > 2 * torch.finfo(z.dtype).eps * z.abs())
 
 

@@ -96,6 +96,7 @@ def project_fisheye(
     if projection == "equidistant":
         radius = lifted_radius(x, y, z)
         scale = torch.atan2(radius, z) / radius
+        # Not on the backward axis, where the azimuth is rounding.
         valid = torch.maximum(radius, z) > 2 * torch.finfo(z.dtype).eps * z.abs()
     else:
         length, length_plus_z, valid = _length_plus_z(x, y, z)

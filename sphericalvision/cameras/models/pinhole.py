@@ -35,6 +35,7 @@ def project_pinhole(
         tensor([370., 240.])
     """
     x, y, z = components(points)
+    # At least so much that what is behind lands far out, and its square and derivatives stay finite.
     shrink = z.clamp_min(torch.finfo(z.dtype).tiny ** 0.4).reciprocal()
     return Projection(pixels_from_plane(x * shrink, y * shrink, focal_length, principal_point), z > 0)
 

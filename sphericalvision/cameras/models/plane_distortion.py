@@ -200,6 +200,7 @@ def fold_radius(coefficients: Float[Tensor, "*batch k"], azimuths: int = 32) -> 
         def determinant(angle: Tensor) -> Tensor:
             x, y = torch.tan(angle) * azimuth.cos(), torch.tan(angle) * azimuth.sin()
             slopes = jacobian(x, y, distort(x, y, coefficients), coefficients)
+            # The limit itself is inside, whatever rounding makes of its angle.
             return torch.where(angle <= limit + 1e-6, slopes.determinant, -1.0)
 
         # By angle, not by radius: a search up to 10⁴ in equal steps of the radius would skip the image.
@@ -294,6 +295,7 @@ def invert_plane_map(
 
 def _two_steps_suffice(to_u: Tensor, to_v: Tensor, u: Tensor, v: Tensor) -> Tensor:
     """Whether two more Newton steps make (u, v) exact, which is (to_u, to_v) away."""
+    # Each step squares the relative error: the first leaves eps^1.5, which is less than rounding.
     return to_u.abs() + to_v.abs() <= torch.finfo(u.dtype).eps ** 0.75 * (1 + u.abs() + v.abs())
 
 

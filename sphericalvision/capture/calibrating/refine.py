@@ -279,6 +279,7 @@ class _Bundle:
             choices = fit_choices(type(camera))
             bounds = {}
             if choices is not None:
+                # Bounds are those of names: the number of coefficients and the projection do not change them.
                 count = next(iter(choices.num_coefficients), 0)
                 bounds = choices.make(count, next(iter(choices.projections), "")).bounds
             for name, length in zip(names, lengths, strict=True):
@@ -311,6 +312,7 @@ class _Bundle:
     ) -> Tensor:
         """Pixels (k, 2) of the seen points of one camera; intrinsics and its move once, or a row for each point."""
         point_indices = self.seen[:, index].nonzero()[:, 1]
+        # An object's move is one in the world, a camera's one in its own frame, and the first camera has none.
         pose = self.camera_from_world[index] @ _moves(view) @ self.world_from_points[views]
         if index:
             pose = _moves(camera) @ pose

@@ -50,7 +50,6 @@ class Deep360Dataset(ScannedFrames):
         transform: of each sample.
 
     Raises:
-        MissingFileError: the folder or a split is not there, or no frame is complete.
         FileFormatError: pictures that are not twice as high as wide.
 
     References:

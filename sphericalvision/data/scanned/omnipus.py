@@ -41,7 +41,6 @@ class OmniPusDataset(ScannedFrames):
         latitude: radians of the upper edge of the truth above the horizon; 45° unless given, as pixels are square then.
 
     Raises:
-        MissingFileError: files of the set are not there.
         FileFormatError: a calibration that lacks a number.
     """
 

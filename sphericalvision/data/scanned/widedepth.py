@@ -48,7 +48,6 @@ class WideDepthDataset(ScannedFrames):
         calibration: file of the lens, in the size of the images.
 
     Raises:
-        MissingFileError: the folder or a scene is missing, or no frame is complete.
         ArgumentError: a field of view, baseline or choice of cameras that the set does not have.
         FileFormatError: a calibration of another image size.
 

@@ -179,6 +179,7 @@ def _pictures(
         spread = _spread(local).flatten()[pixels] / samples_per_pixel**0.5
         for pose, values in zip(poses, sample, strict=True):
             directions = (pose[:3, :3] @ rays).view(3, *pixels.shape)
+            # Of brighter samples the mean of a pixel would show little else.
             light = _exposed(scene, pose[:3, 3], directions, spread).clamp_(max=4)
             # Squares at edges hold pixels twice, with the same light.
             values.scatter_(1, pixels.flatten().expand(3, -1), light.flatten(1))

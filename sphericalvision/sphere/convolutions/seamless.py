@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError, check_type
 from sphericalvision.sphere.convolutions.padding import EquirectangularPad2d
-from sphericalvision.sphere.convolutions.sphere_conv import SphereConv2d
+from sphericalvision.sphere.convolutions.sphere_conv import SphereConv2d, along_both
 
 # Layers that look across the border in ways that padding before them does not mend.
 UNSUPPORTED = (nn.ConvTranspose2d, nn.Fold, nn.Unfold, nn.FractionalMaxPool2d)
@@ -88,7 +88,7 @@ def _replaced(module: nn.Module, pad: Callable[[tuple[int, int, int, int]], nn.M
         sides = _sides(module._reversed_padding_repeated_twice)
         return PaddedConv2d(module, pad(sides)) if any(sides) else module
     if isinstance(module, nn.MaxPool2d | nn.AvgPool2d):
-        vertical, horizontal = _pair(module.padding)
+        vertical, horizontal = along_both(module.padding)
         if not (vertical or horizontal):
             return module
         module.padding = 0
@@ -103,7 +103,3 @@ def _replaced(module: nn.Module, pad: Callable[[tuple[int, int, int, int]], nn.M
 def _sides(padding: list[int] | tuple[int, ...]) -> tuple[int, int, int, int]:
     left, right, top, bottom = padding
     return left, right, top, bottom
-
-
-def _pair(size: int | tuple[int, ...]) -> tuple[int, int]:
-    return (size, size) if isinstance(size, int) else (size[0], size[1])

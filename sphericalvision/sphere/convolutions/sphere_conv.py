@@ -52,7 +52,7 @@ def sphere_conv2d(
             f"images and weight: expected shapes (B, in, H, W) and (out, in / {groups}, h, w), "
             f"got {tuple(images.shape)} and {tuple(weight.shape)}"
         )
-    stride, dilation = _pair(stride), _pair(dilation)
+    stride, dilation = along_both(stride), along_both(dilation)
     return _convolve(images, weight, bias, stride, dilation, groups, sphere_taps)
 
 
@@ -114,7 +114,7 @@ class SphereConv2d(nn.Conv2d):
         bias: bool = True,
     ) -> None:
         check_counts(in_channels=in_channels, out_channels=out_channels)
-        if any(size % 2 == 0 for size in _pair(kernel_size)):
+        if any(size % 2 == 0 for size in along_both(kernel_size)):
             raise ArgumentError(f"kernel_size: expected odd sizes, which have a centre, got {kernel_size}")
         super().__init__(
             in_channels, out_channels, kernel_size, stride, dilation=dilation, groups=groups, bias=bias
@@ -122,11 +122,12 @@ class SphereConv2d(nn.Conv2d):
 
     def forward(self, input: Float[Tensor, "B C_in H W"]) -> Float[Tensor, "B C_out H_out W_out"]:
         return sphere_conv2d(
-            input, self.weight, self.bias, _pair(self.stride), _pair(self.dilation), self.groups
+            input, self.weight, self.bias, along_both(self.stride), along_both(self.dilation), self.groups
         )
 
 
-def _pair(size: int | tuple[int, ...]) -> tuple[int, int]:
+def along_both(size: int | tuple[int, ...]) -> tuple[int, int]:
+    """A size of one number or of two as two: along rows and along columns."""
     return (size, size) if isinstance(size, int) else (size[0], size[1])
 
 

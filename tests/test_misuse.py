@@ -731,6 +731,9 @@ refine_rig(rig(), BOARD, torch.ones(2, 4, 6, 2), intrinsics=('omega',)) -> intri
 refine_rig(rig(), BOARD, torch.ones(2, 3, 6, 2)) -> pixels: Shape
 register_aggregation('variance', Concatenation) -> aggregation: Argument
 register_network('module', torch.nn.Linear) -> network: Argument
+register_network('omnimvs', IcoSweepNet) -> network: Argument
+register_camera(type('Other', (PinholeCamera,), {})) -> model: Argument
+convert(camera(), type('Silent', (PinholeCamera,), {'model': 'silent'})) -> to: Argument
 load_reference_checkpoint('absent.pth') -> absent.pth: MissingFile
 net().with_changes(nonesuch=1) -> nonesuch: Argument
 """

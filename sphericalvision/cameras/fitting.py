@@ -51,24 +51,18 @@ class FittedModel:
     """A camera model as a function of one vector: the intrinsics, one after the other, in float64.
 
     Attributes:
-        camera_class: that the vector becomes.
+        choices: of its class.
         project: the model's function.
         sizes: name -> how many numbers, ``None`` for one without a dimension of its own; in the function's order.
-        starts: vectors to start from, made from samples.
-        bounds: name -> (smallest, largest).
-        reach: the widest angle from the axis that is tried, in radians.
         constants: constructor arguments that are not fitted.
-        complete: adds those that follow from fitted ones.
+        reach: the widest angle from the axis that is tried, in radians.
     """
 
-    camera_class: type[Camera]
+    choices: FitChoices
     project: Callable[..., Projection]
     sizes: Mapping[str, int | None]
-    starts: Callable[[FittedModel, Samples], Iterable[Tensor]]
-    bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
-    reach: float = math.pi
-    constants: Mapping[str, Any] = field(default_factory=dict)
-    complete: Callable[[dict[str, Any]], dict[str, Any]] | None = None
+    constants: Mapping[str, Any]
+    reach: float
 
     def intrinsics(self, vector: Float[Tensor, "*batch p"]) -> dict[str, Tensor]:
         """The parts by name of one vector or of many, (*, p)."""
@@ -100,13 +94,14 @@ class FittedModel:
     def limits(self, like: Float[Tensor, " ..."]) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]]:
         """Smallest and largest values of the vector."""
         open_ended = (-math.inf, math.inf)
-        ends = [[self.bounds.get(name, open_ended)] * (size or 1) for name, size in self.sizes.items()]
+        bounds = self.choices.bounds
+        ends = [[bounds.get(name, open_ended)] * (size or 1) for name, size in self.sizes.items()]
         table = like.new_tensor(list(itertools.chain.from_iterable(ends)))
         return table[:, 0], table[:, 1]
 
     def own_start(self, camera: Camera) -> list[Float[Tensor, " p"]]:
         """The camera's own intrinsics, if it is of this model with as many numbers."""
-        if type(camera) is not self.camera_class:
+        if type(camera) is not self.choices.camera_class:
             return []
         if any(getattr(camera, key) != value for key, value in self.constants.items()):
             return []
@@ -123,9 +118,9 @@ class FittedModel:
         """The camera of a vector, in the dtype and on the device of ``like``."""
         vector = vector.to(like.device, like.dtype)
         intrinsics: dict[str, Any] = {**self.intrinsics(vector), **self.constants}
-        if self.complete is not None:
-            intrinsics = self.complete(intrinsics)
-        return self.camera_class(**intrinsics, image_size=image_size, max_angle=max_angle)
+        if self.choices.complete is not None:
+            intrinsics = self.choices.complete(intrinsics)
+        return self.choices.camera_class(**intrinsics, image_size=image_size, max_angle=max_angle)
 
 
 @dataclass(frozen=True)
@@ -142,7 +137,7 @@ class FitChoices:
         sizes: name -> how many numbers, where the model leaves that open.
         project: the model's function by default.
         left_out: names that are not fitted but follow, by ``complete``.
-        complete: see ``FittedModel``.
+        complete: adds intrinsics that follow from fitted ones.
     """
 
     camera_class: type[Camera]
@@ -175,14 +170,11 @@ class FitChoices:
                 else:
                     missing[name] = None
         return FittedModel(
-            self.camera_class,
+            self,
             self.project or partial(self.camera_class.functions[0], **options),
             sizes,
-            self.starts,
-            self.bounds,
+            missing | options,
             self.reach(projection) if callable(self.reach) else self.reach,
-            constants=missing | options,
-            complete=self.complete,
         )
 
 

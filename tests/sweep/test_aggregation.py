@@ -6,7 +6,6 @@ from __future__ import annotations
 import pytest
 import torch
 
-from sphericalvision.core import ArgumentError
 from sphericalvision.sweep import (
     Concatenation,
     MeanVariance,
@@ -72,8 +71,3 @@ def test_aggregations_by_name(generator: torch.Generator, name: str) -> None:
         torch.testing.assert_close(
             aggregation(SweepVolume(values[:, order], seen[:, order])), aggregation(SweepVolume(values, seen))
         )
-
-
-def test_an_unknown_name_is_told_all_known_ones() -> None:
-    with pytest.raises(ArgumentError, match=r"aggregation.*'concatenation'.*'variance'.*'median'"):
-        named_aggregation("median", 3, 4)

@@ -196,10 +196,10 @@ def _panorama(camera: Camera) -> Conversion:
 def _reach(model: FittedModel, camera: Camera, limit: float, max_angle: float | None) -> float:
     """How far out a model is fitted at first."""
     plane = (PinholeCamera, BrownConradyCamera)
-    if issubclass(model.camera_class, plane):
+    if issubclass(model.choices.camera_class, plane):
         if max_angle is not None and max_angle >= math.pi / 2:
             raise ArgumentError(
-                f"max_angle: a {model.camera_class.__name__} ends before 90° from the axis, got "
+                f"max_angle: a {model.choices.camera_class.__name__} ends before 90° from the axis, got "
                 f"{math.degrees(max_angle):.1f}°"
             )
         if max_angle is not None or isinstance(camera, plane):

@@ -38,7 +38,7 @@ def fit_model(camera: Camera, model: FittedModel, held_out: Float[Tensor, "n 3"]
     best: Tensor | None = None
     for _ in range(ROUNDS):
         samples = _samples(camera, limit, model)
-        starts = [*model.own_start(camera), *model.starts(model, samples)] if best is None else [best]
+        starts = [*model.own_start(camera), *model.choices.starts(model, samples)] if best is None else [best]
         low, high = model.limits(samples.pixels)
 
         def residuals(vector: Tensor, samples: Samples = samples) -> Tensor:
@@ -61,7 +61,7 @@ def fit_model(camera: Camera, model: FittedModel, held_out: Float[Tensor, "n 3"]
         if not len(lost):
             return Fit(model, best, limit, least)
         limit = float(lost.min()) * (1 - 1e-3)
-    raise cannot_show(camera, model.camera_class)
+    raise cannot_show(camera, model.choices.camera_class)
 
 
 def cannot_show(camera: Camera, model: type[Camera]) -> ArgumentError:
@@ -82,7 +82,7 @@ def _samples(camera: Camera, limit: float, model: FittedModel) -> Samples:
     if valid.sum() < 64:
         raise ArgumentError(
             f"camera: nothing is left to fit: this {camera!r} sees {int(valid.sum())} of {count} directions within "
-            f"{math.degrees(limit):.1f}° of its axis, where a {model.camera_class.__name__} could show them"
+            f"{math.degrees(limit):.1f}° of its axis, where a {model.choices.camera_class.__name__} could show them"
         )
     focal_length = focal_length_on_axis(camera)
     center = project_by_model(camera, directions.new_tensor([0.0, 0.0, 1.0])).pixels

@@ -277,11 +277,7 @@ class _Bundle:
         high, at = -low, 0
         for camera, names, lengths in zip(self.cameras, self.free, self.lengths, strict=True):
             choices = fit_choices(type(camera))
-            bounds = {}
-            if choices is not None:
-                # Bounds are those of names: the number of coefficients and the projection do not change them.
-                count = next(iter(choices.num_coefficients), 0)
-                bounds = choices.make(count, next(iter(choices.projections), "")).bounds
+            bounds = {} if choices is None else choices.bounds
             for name, length in zip(names, lengths, strict=True):
                 if name in bounds:
                     low[at : at + length], high[at : at + length] = bounds[name]

@@ -183,6 +183,13 @@ def test_a_wrapped_network_is_the_one_inside(tmp_path: Path, wrapper: Any) -> No
         assert all(torch.equal(a, b) for a, b in zip(again.parameters(), net.parameters(), strict=True))
 
 
+def test_equal_weights_are_equal_files(tmp_path: Path) -> None:
+    net = small_net()
+    files = [save_weights(net, tmp_path / f"{k}.safetensors") for k in range(12)]
+    assert len({path.read_bytes() for path in files}) == 1
+    assert same_weights(load_weights(files[0]), net)
+
+
 def test_a_full_disk_is_an_error_of_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: Any) -> None:
         raise SafetensorError("I/O error: No space left on device (os error 28)")

@@ -67,9 +67,22 @@ def save_weights(net: DepthNetwork, path: str | Path, bits: Literal[32, 16, 8] =
     with atomic_write(path) as temporary:
         try:
             save_file(state, temporary, metadata)
+            _sort_metadata(temporary)
         except SafetensorError as error:  # of a full disk, for instance
             raise OSError(errno.EIO, f"could not be written: {error}", str(path)) from error
     return path
+
+
+def _sort_metadata(path: Path) -> None:
+    """Bring metadata into the order of their names, so that equal weights are equal files: safetensors draws it."""
+    with path.open("r+b") as file:
+        size = int.from_bytes(file.read(8), "little")
+        header = json.loads(file.read(size))
+        header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+        text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
+        assert len(text) <= size, "the same values in another order"
+        file.seek(8)
+        file.write(text.ljust(size))
 
 
 def _with_bits(name: str, tensor: Tensor, bits: int) -> Iterator[tuple[str, Tensor]]:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import io
+import os
 import shutil
 import warnings
 from pathlib import Path
@@ -299,6 +300,15 @@ def test_topics_are_the_cameras_by_name_or_number_or_are_asked_for(
     source = open_source(str(path), rig, labels=labels)
     assert isinstance(source, Bag)
     assert source.topics == labels
+
+
+def test_a_pipe_in_a_bag_is_not_waited_for(tmp_path: Path) -> None:
+    bag = of_topics(tmp_path / "run", {f"/{name}/image_raw": PICTURE for name in RIG.names})
+    (file,) = bag.glob("*.mcap")
+    file.unlink()
+    os.mkfifo(file)
+    with pytest.raises(FileFormatError, match=file.name):
+        open_source(str(bag), RIG)
 
 
 def test_what_is_no_bag_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

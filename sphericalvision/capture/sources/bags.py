@@ -69,6 +69,7 @@ def bag_of(path: Path) -> Path | None:
 
     Raises:
         MissingFileError: no such file.
+        FileFormatError: a pipe or a device is in the folder.
         ArgumentError: rosbags is not installed.
     """
     suffix, is_folder = path.suffix.lower(), (path / "metadata.yaml").is_file()
@@ -77,6 +78,11 @@ def bag_of(path: Path) -> Path | None:
     if not is_folder and not path.is_file():
         raise MissingFileError(
             f"images: {path}: expected a bag of ROS 1 or 2, a file or a folder with metadata.yaml"
+        )
+    pipes = [file for file in path.iterdir() if not (file.is_file() or file.is_dir())] if is_folder else []
+    if pipes:  # rosbags opens what metadata.yaml names, and waits
+        raise FileFormatError(
+            f"images: {pipes[0]}: expected a file of a bag; remove it, or copy the bag again"
         )
     if find_spec("rosbags") is None:
         raise ArgumentError(f"images: {path} is a bag, which rosbags reads: pip install rosbags")

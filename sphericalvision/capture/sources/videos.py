@@ -151,7 +151,7 @@ def _say_if_begun_apart(streams: Mapping[str, VideoStream], tolerance: float) ->
     for key, slack in (("timecode", tolerance), ("creation_time", WHOLE_SECONDS)):
         begins = {name: own.begins[key] for name, own in streams.items() if key in own.begins}
         first, last = (choose(begins, key=begins.__getitem__, default="") for choose in (min, max))
-        if len(begins) == len(streams) and (gap := begins[last] - begins[first]) > slack:
+        if begins and (gap := begins[last] - begins[first]) > slack:
             return [
                 f"images: by their {key} the videos of {first} and {last} begin {gap:.3g} s apart, and pictures are "
                 "paired by the times since each begins; cut the videos so that they begin together, if they do not"

@@ -93,7 +93,7 @@ def test_every_link_leads_somewhere(site: Path) -> None:
 SEARCHED = {
     "getting-started": "install, pip, docker, Windows, conda",
     "index": "license, licence, citation, BibTeX, commercial use",
-    "how-do-i": "realtime, webcam, GoPro, insv, synchronization, EXR, rosbag, timestamp, base_link, LaTeX, TensorRT, "
+    "how-do-i": "realtime, wandb, webcam, GoPro, insv, synchronization, EXR, rosbag, timestamp, base_link, LaTeX, TensorRT, "
     "metric scale, reprojection error, equirectangular to cubemap, checkpoint, point cloud, mesh, "
     "Gaussian splatting, stitch, fisheye calibration, undistort, mask, video, export tensorrt, lidar fusion, "
     "fisheye to equirectangular, kannala brandt jacobian, minimum baseline, rolling shutter, dual fisheye, "
@@ -110,7 +110,7 @@ SEARCHED = {
     "grids/healpix": "HEALPix",
     "guide/scanned": "LiDAR truth, Helvipad, Deep360, KITTI-360",
     "formats/files": "Kalibr, nerfstudio, OCamCalib",
-    "recipes/configuration": "hyperparameter, wandb, hydra override list",
+    "recipes/configuration": "hyperparameter, hydra override list",
     "troubleshooting": "error message, batch size",
     "tutorials/cluster": "multi-GPU, multi gpu",
     "tutorials/cpp": "C++",

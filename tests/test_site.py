@@ -93,8 +93,8 @@ def test_every_link_leads_somewhere(site: Path) -> None:
 SEARCHED = {
     "getting-started": "install, pip, docker, Windows, conda",
     "index": "license, licence, citation, BibTeX, commercial use",
-    "how-do-i": "realtime, wandb, webcam, GoPro, insv, synchronization, EXR, rosbag, timestamp, base_link, LaTeX, TensorRT, "
-    "metric scale, reprojection error, equirectangular to cubemap, checkpoint, point cloud, mesh, "
+    "how-do-i": "realtime, wandb, webcam, GoPro, insv, synchronization, EXR, rosbag, timestamp, base_link, LaTeX, "
+    "TensorRT, metric scale, reprojection error, equirectangular to cubemap, checkpoint, point cloud, mesh, "
     "Gaussian splatting, stitch, fisheye calibration, undistort, mask, video, export tensorrt, lidar fusion, "
     "fisheye to equirectangular, kannala brandt jacobian, minimum baseline, rolling shutter, dual fisheye, "
     "Insta360, virtual pinhole views of a fisheye, z depth against range, AprilGrid, ChArUco, OmniPus",

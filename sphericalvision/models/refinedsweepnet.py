@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float
-from torch import Tensor
+from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import (
@@ -378,9 +378,9 @@ class RefinedSweepNet(DepthNetwork):
 
         What fewer than two cameras see counts a quarter, what lies beside an edge three times. The share of the
         logits, fused ones and the prior's, is the cross entropy of the two hypotheses around the true index. Of the
-        steps of the refinement the mean counts. The confidence learns 1 less the error of the index, in halves of
-        hypotheses up to two; the sky, where the true index is 0: at infinity. Where there is little of it, behind
-        windows, it counts more.
+        steps of the refinement the mean counts; where it does not learn, they are not computed. The confidence learns
+        1 less the error of the index, in halves of hypotheses up to two; the sky, where the true index is 0: at
+        infinity. Where there is little of it, behind windows, it counts more.
 
         Args:
             images: as for ``predict``; so are ``rig``, ``seen`` and ``hint``. With ``clues`` a rig a sample will do.
@@ -400,7 +400,9 @@ class RefinedSweepNet(DepthNetwork):
             views = self.views(images, seen)
             offsets = _offsets(rig).to(self.up)
         coarse, coarse_seen = views[0]
-        if hint is None:  # layers for hints have gradients all the same, as several processes want it
+        if hint is None and _learns(
+            self.fusion.hint_gate
+        ):  # gradients all the same, as several processes want them
             hint = DepthHint(torch.zeros_like(target), torch.zeros_like(target))
         hints = self.hints(hint)
         fused = self.fuse(clues, coarse, coarse_seen, offsets, hints[0])
@@ -412,13 +414,15 @@ class RefinedSweepNet(DepthNetwork):
             return true[:, ids], valid[:, ids]
 
         modes = two_modes(fused.logits)
-        steps = self.refinements(fused, views, offsets, hints[1:], modes)
-        total = torch.stack(
-            [
-                _loss_of_step(refined, *at_level(level), loss)
-                for level, refined in enumerate(steps, self.coarse_level + 1)
-            ]
-        ).mean()
+        total = torch.zeros_like(true[0, 0])
+        if _learns(self.refinement):
+            steps = self.refinements(fused, views, offsets, hints[1:], modes)
+            total = torch.stack(
+                [
+                    _loss_of_step(refined, *at_level(level), loss)
+                    for level, refined in enumerate(steps, self.coarse_level + 1)
+                ]
+            ).mean()
         coarse_true, coarse_valid = at_level(self.coarse_level)
         coarse_weights = torch.where(clues.cameras.amax(1) >= 2, 1.0, 0.25) * _edge_weights(
             coarse_true, coarse_valid
@@ -430,6 +434,10 @@ class RefinedSweepNet(DepthNetwork):
         # The prior tries no hypotheses between the N.
         entropy = _cross_entropy(clues.prior.float(), at_level(prior_level)[0] / 2)
         return total + PRIOR_SHARE * mean_of_samples(entropy, coarse_weights[:, ids])
+
+
+def _learns(module: nn.Module) -> bool:
+    return any(weight.requires_grad for weight in module.parameters())
 
 
 @constant_table

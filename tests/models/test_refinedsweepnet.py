@@ -178,6 +178,19 @@ def test_learns_and_leaves_the_prior_alone(net, frame):
     assert all(p.grad is not None and p.grad.any() for p in net.parameters() if p.requires_grad)
 
 
+def test_a_refinement_that_does_not_learn_has_no_part_in_the_loss(net, frame):
+    images, rig, seen, true = frame
+    fusing = RefinedSweepNet.around(net.prior, level=LEVEL, widths=(8, 8, 8), blocks=(1, 1, 2))
+    fusing.refinement.requires_grad_(False)
+    fusing.fusion.hint_gate.requires_grad_(False)
+    first = fusing.training_loss(images, rig, seen, true, true <= 15, depth_index_huber)
+    first.backward()
+    assert all(p.grad is not None for p in fusing.parameters() if p.requires_grad)
+    for weight in fusing.refinement.parameters():
+        weight.data.fill_(math.nan)
+    assert torch.equal(first, fusing.training_loss(images, rig, seen, true, true <= 15, depth_index_huber))
+
+
 def test_what_is_not_known_teaches_nothing(net, frame):
     """Neither surfaces nor sky, which is where the index is 0."""
     images, rig, seen, true = frame

@@ -23,7 +23,7 @@ from tests.recipes.conftest import run_recipe
 from tests.recipes.test_batches import module_of
 from tests.recipes.tiny import Run, composed
 
-STAGES = ("prior", "fusion", "finer", "hints")
+STAGES = ("prior", "coarse", "fusion", "finer", "hints")
 SMALL = """
 # @package _global_
 defaults: [/experiment/refinedsweepnet/{stage}]
@@ -82,7 +82,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def started(done: Path, tmp_path: Path) -> Iterator[Path]:
-    """The same as ``done``, of which the third stage has not begun."""
+    """The same as ``done``, of which the last two stages have not begun."""
     folder = tmp_path / "again"
     shutil.copytree(done, folder)
     results = folder / "outputs/refinedsweepnet"
@@ -101,9 +101,10 @@ def weights(folder: Path, stage: str) -> dict[str, torch.Tensor]:
 
 
 def test_each_stage_starts_from_the_one_before_and_learns_its_part(done: Path) -> None:
-    prior, fusion, finer, hints = (weights(done, stage) for stage in STAGES)
-    assert all(torch.equal(value, fusion[f"prior.{name}"]) for name, value in prior.items())
+    prior, coarse, fusion, finer, hints = (weights(done, stage) for stage in STAGES)
+    assert all(torch.equal(value, coarse[f"prior.{name}"]) for name, value in prior.items())
     for before, after, parts in (
+        (coarse, fusion, ("fusion", "refinement")),
         (fusion, finer, ("fusion", "refinement")),
         (finer, hints, ("fusion.hint_gate.exit",)),
     ):
@@ -149,7 +150,7 @@ def test_stages_that_are_done_are_skipped(done: Path, monkeypatch: pytest.Monkey
 
 def test_a_stage_without_the_one_before_says_which_file_is_missing(failing: Run, tmp_path: Path) -> None:
     write_experiments(tmp_path / "mine")
-    words = ("--config-dir", "mine", "experiment=small/fusion", *WORDS[1:])
+    words = ("--config-dir", "mine", "experiment=small/coarse", *WORDS[1:])
     assert "prior.safetensors" in failing("train", *words)
 
 

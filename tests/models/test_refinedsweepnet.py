@@ -212,6 +212,19 @@ def test_prior_learns_where_it_is_told_to(net, frame):
     assert all(p.grad is not None and p.grad.any() for p in learning.prior.features.parameters())
 
 
+@pytest.mark.parametrize("index", [2, 5, 9])
+def test_prior_is_drawn_to_the_true_index(net, frame, index):
+    images, rig, seen, true = frame
+    with torch.no_grad():
+        clues = net.clues(images, net.tables(rig), seen)
+        net.fusion.sharpness[1] = -30  # it has no part in the fused logits
+    prior = torch.zeros_like(clues.prior).requires_grad_()
+    target, valid = torch.full_like(true, index), torch.ones_like(true, dtype=torch.bool)
+    clues = clues._replace(prior=prior)
+    net.training_loss(images, rig, seen, target, valid, depth_index_huber, clues=clues).backward()
+    assert (prior.grad.argmin(1) == index).all()
+
+
 def sky_logit_gradient(net, frame, true):
     """How the loss changes with the logit of the sky, the same at all vertices before training."""
     images, rig, seen, _ = frame

@@ -19,7 +19,6 @@ from sphericalvision.cameras.rig import check_images_of
 from sphericalvision.cameras.sphere_images import SphereLookup, sphere_lookups
 from sphericalvision.core import ArgumentError, ShapeError, check_floating
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.io.images import warn_of_bits
 
 CHANNELS = (1, 3, 4)
 """Grey, colour, and colour with alpha, which is dropped."""
@@ -258,6 +257,8 @@ def _as_tensor(name: str, image: Any) -> Tensor:
         return array
     values = array.float()
     if bits == "16":
+        from sphericalvision.io.images import warn_of_bits
+
         warn_of_bits(int(values.max()), f"images[{name!r}]")
     if bits is not None:
         return values / (2 ** int(bits) - 1)

@@ -378,9 +378,9 @@ class RefinedSweepNet(DepthNetwork):
 
         What fewer than two cameras see counts a quarter, what lies beside an edge three times. The share of the
         logits, fused ones and the prior's, is the cross entropy of the two hypotheses around the true index. Of the
-        steps of the refinement the mean counts; where it does not learn, they are not computed. The confidence learns
-        1 less the error of the index, in halves of hypotheses up to two; the sky, where the true index is 0: at
-        infinity. Where there is little of it, behind windows, it counts more.
+        steps of the refinement the mean counts; they are not computed where neither it nor the gate for hints learns.
+        The confidence learns 1 less the error of the index, in halves of hypotheses up to two; the sky, where the true
+        index is 0: at infinity. Where there is little of it, behind windows, it counts more.
 
         Args:
             images: as for ``predict``; so are ``rig``, ``seen`` and ``hint``. With ``clues`` a rig a sample will do.
@@ -415,7 +415,7 @@ class RefinedSweepNet(DepthNetwork):
 
         modes = two_modes(fused.logits)
         total = torch.zeros_like(true[0, 0])
-        if _learns(self.refinement):
+        if _learns(self.refinement) or _learns(self.fusion.hint_gate):  # a hint is a candidate of both
             steps = self.refinements(fused, views, offsets, hints[1:], modes)
             total = torch.stack(
                 [

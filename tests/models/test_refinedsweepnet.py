@@ -178,7 +178,7 @@ def test_learns_and_leaves_the_prior_alone(net, frame):
     assert all(p.grad is not None and p.grad.any() for p in net.parameters() if p.requires_grad)
 
 
-def test_a_refinement_that_does_not_learn_has_no_part_in_the_loss(net, frame):
+def test_without_a_learning_refinement_or_hint_gate_the_refinement_has_no_part_in_the_loss(net, frame):
     images, rig, seen, true = frame
     fusing = RefinedSweepNet.around(net.prior, level=LEVEL, widths=(8, 8, 8), blocks=(1, 1, 2))
     fusing.refinement.requires_grad_(False)

@@ -151,6 +151,21 @@ def test_brightness_changes_by_no_more_than_asked(per_camera: bool) -> None:
     assert (offsets.std(dim=1).max() < 1e-6) != per_camera
 
 
+def test_contrast_and_noise_change_by_as_much_as_said() -> None:
+    """By default contrast by a fifth, and noise of a hundredth for every other camera."""
+    images = torch.full((4, 3, 40, 40), 0.4)
+    stretched, noisy = (
+        torch.stack([PhotometricAugmentation(0.0, **options).apply_to(images, seed) for seed in range(50)])
+        / 0.4
+        for options in ({"noise": 0.0}, {"contrast": 0.0})
+    )
+    gains, deviations = stretched.amax((2, 3, 4)), 0.4 * noisy.std((2, 3, 4))
+    assert 0.8 <= gains.min() < 0.83
+    assert 1.17 < gains.max() <= 1.2
+    assert 0.4 < (deviations > 1e-6).float().mean() < 0.6
+    assert deviations[deviations > 1e-6].mean().item() == pytest.approx(0.01, rel=0.03)
+
+
 def test_cameras_of_different_sizes_are_augmented_pixel_by_pixel() -> None:
     augment = PhotometricAugmentation(noise=0.0, per_camera=False, generator=torch.Generator().manual_seed(0))
     small = torch.rand(3, 4, 5)

@@ -41,7 +41,7 @@ def masked() -> CameraRig:
     """Four cameras of 220°, the first of which has a mask that takes a quarter of its image away."""
     rig = ring_rig(image_size=(48, 48))
     mask = torch.ones(48, 48, dtype=torch.bool)
-    mask[24:, 24:] = False
+    mask[12:, 28:] = False
     return CameraRig(rig.cameras, rig.world_from_camera, {"cam1": mask})
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -25,7 +26,7 @@ from sphericalvision.models.candidate_refinement import (
     finer_logits,
 )
 from sphericalvision.models.hexunet import HexUNet
-from sphericalvision.models.hint_gate import HintedIndex, HintGate, agreement
+from sphericalvision.models.hint_gate import HintedIndex, HintGate, SweepClues, agreement
 from sphericalvision.models.logit_fusion import FusedLogits
 from sphericalvision.models.refinedsweepnet import FARTHEST
 from sphericalvision.models.tried_hypotheses import two_modes
@@ -304,6 +305,42 @@ def test_candidates_at_an_edge_are_both_sides():
     assert undecided.spread.min() > 3
 
 
+@pytest.mark.parametrize("hinted", [False, True])
+def test_candidates_by_loops(hinted, generator):
+    """Of both parents; a hint takes the place of the second answer where it is as likely."""
+    grid, parents = Icosphere(1), icosphere_vertex_parents(2).tolist()
+    logits = 2 * torch.randn(2, 15, 42, generator=generator)
+    best, second = two_modes(logits)
+    hint = HintedIndex(7 * torch.rand(2, 162, generator=generator), torch.arange(324).view(2, 162) % 3 / 2)
+    found = candidates_of(FusedLogits(logits, torch.zeros(2, 1, 42)), hint=hint if hinted else None)
+    probability, tried = logits.softmax(1), torch.arange(15) / 2
+    rings = [[vertex, *(n for n in ring if n >= 0)] for vertex, ring in enumerate(grid.neighbors.tolist())]
+    took = 0
+    for sample, vertex in itertools.product(range(2), range(0, 162, 8)):
+        pair, index = parents[vertex], best[sample]
+        around = index[[n for parent in pair for n in rings[parent]]]
+        four = [
+            index[pair].mean(),
+            around.max(),
+            around.min(),
+            second[sample, pair[0]],
+            hint.index[sample, vertex],
+        ]
+        likely = [probability[sample, round(2 * float(i)), pair].mean() for i in four]
+        take = hinted and hint.weight[sample, vertex] > 0 and likely[4] >= likely[3]
+        took += int(take)
+        chosen = [0, 1, 2, 4 if take else 3]
+        spread = [(probability[sample, :, n] * (tried - index[n]).abs()).sum() for n in pair]
+        expected = (
+            torch.stack([four[k] for k in chosen]),
+            torch.stack([likely[k] for k in chosen]),
+            (index[pair[0]] - index[pair[1]]).abs(),
+            torch.stack(spread).mean(),
+        )
+        torch.testing.assert_close((*(each[sample, ..., vertex] for each in found),), expected)
+    assert bool(took) == hinted
+
+
 def test_an_answer_goes_no_farther_than_to_neighbours():
     """Not to the other vertices of five neighbours either, whose tables have a place that is empty."""
     grid, parents = Icosphere(2), icosphere_vertex_parents(3)
@@ -419,8 +456,6 @@ def test_around_the_chosen_vertices_cameras_agree_at_the_true_depth(frame):
     assert (around[:, :, 1] <= around[:, :, 2]).all()
     right, far = around[0, :, 1:3][..., chosen[0]].mean(-1)
     assert (right < 0.8 * far).all()
-    nowhere = torch.zeros_like(chosen)  # a view without any boundary
-    assert not appearance_around(images, seen, offsets, inverse_depths, nowhere).any()
     with kernels("graph"):  # computed everywhere, and then left out
         torch.testing.assert_close(
             appearance_around(images, seen, offsets, inverse_depths, chosen), around, rtol=1e-3, atol=1e-4
@@ -497,6 +532,18 @@ def test_a_hint_is_compared_where_two_cameras_look_and_near_things_roughly():
     clues[:, 2] = torch.where(compared, 0.2, 9.0)  # costs of the hint, below and above those of any depth
     for here, trust in ((compared, 1.0), (~compared, 0.0)):
         assert HintGate.trust(hint, clues, torch.zeros(1, 31, 400), here).item() == trust
+
+
+def test_clues_of_a_hint_and_its_penalty_by_hand():
+    """At 1.25 between two tried hypotheses; what is more than four hypotheses away is as far as any."""
+    cost, best, prior = (torch.arange(21.0).view(1, 21, 1) * factor for factor in (2.0, 10.0, -4.0))
+    sweep = SweepClues(cost, best, best[:, ::2], torch.full((1, 4, 1), 3.0), prior[:, ::2])
+    hint = HintedIndex(torch.tensor([[1.25]]), torch.tensor([[0.5]]))
+    clues = HintGate.clues(sweep, prior, torch.tensor([[3.25]]), hint)
+    assert clues.flatten().tolist() == [0.5 * clue for clue in (1, -0.5, 5, 20, 25, -2.5)]
+    assert HintGate.clues(sweep, prior, torch.tensor([[10.0]]), hint)[0, 1, 0] == -1.0  # and no farther
+    penalty = HintGate(3).penalty(hint, torch.rand(1, 3, 1), 21)[0, :, 0]
+    torch.testing.assert_close(penalty, 1.5 * (torch.arange(21) / 2 - 1.25).abs().clamp(max=4))
 
 
 def test_hints_of_numpy_are_those_in_single_precision(net, frame):

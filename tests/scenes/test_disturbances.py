@@ -25,6 +25,7 @@ from sphericalvision.scenes.disturbances import (
     vignetted,
 )
 from sphericalvision.scenes.random_rigs import random_rig
+from sphericalvision.scenes.rendering.raycast import trace
 
 RIG = ring_rig(3, image_size=(24, 24))
 IMAGES = {name: torch.rand(3, 24, 24, generator=torch.Generator().manual_seed(4)) for name in RIG.names}
@@ -72,6 +73,28 @@ def test_exposure_is_a_factor_on_light() -> None:
         stops = torch.log2((out[name] / dim[name]) ** 2.2)
         assert stops.std() < 1e-4
         assert 0.5 <= stops.mean().abs() <= 1.0
+
+
+def test_noise_blur_and_balance_are_from_half_of_the_amount_to_all_of_it() -> None:
+    camera = RIG.cameras["cam1"]
+    even, point = torch.full((3, 24, 24), 0.5), torch.zeros(3, 24, 24)
+    point[:, 11, 12] = 1.0
+    places = torch.arange(24.0)
+    found = []
+    for seed in range(40):
+        noise = CameraDisturbance(noise=0.02).image(even, camera, seeded(seed)).std()
+        spot = CameraDisturbance(blur=2.0).image(point, camera, seeded(seed))[0]
+        spread = (spot.sum(1) @ (places - 11).square()).sqrt(), (spot.sum(0) @ (places - 12).square()).sqrt()
+        balanced = CameraDisturbance(white_balance=0.4).image(even, camera, seeded(seed)).mean((1, 2))
+        found.append(
+            torch.stack((noise / 0.02, *(s / 2 for s in spread), *torch.log2(balanced / 0.5) * 2.2 / 0.4))
+        )
+    low, high = torch.stack(found).abs().amin(0), torch.stack(found).abs().amax(0)
+    assert ((low > 0.47) & (low < 0.6)).all()
+    assert ((high > 0.9) & (high < 1.03)).all()
+    signs = torch.stack(found)[:, 3:].sign()
+    assert (signs.mean(0).abs() < 0.5).all()
+    assert (signs != signs[:, :1]).any()
 
 
 def test_vignetting_takes_light_by_the_square_of_the_angle() -> None:
@@ -143,6 +166,8 @@ def test_disturbances_that_are_unknown_or_have_a_name_that_is_taken_are_refused(
 
 def test_random_rigs_stay_in_their_bounds() -> None:
     rigs = [random_rig(seeded(seed), image_size=(16, 16)) for seed in range(60)]
+    views = [2 * math.degrees(float(rig.max_angles[0])) for rig in rigs if float(rig.max_angles[0]) < 3]
+    assert 180 <= min(views) < 190 < 230 < max(views) <= 240.01
     assert {len(rig) for rig in rigs} == {2, 3, 4, 5, 6}
     assert 3 <= sum(isinstance(rig.cameras["cam1"], EquirectangularCamera) for rig in rigs) <= 24
     for rig in rigs:
@@ -177,6 +202,14 @@ def test_a_carrier_is_where_masks_say(kind: str) -> None:
         assert changed[masks[name]].float().mean() < 0.05  # shadows may fall
     assert (carried.body.distance_from(rig.positions[0]) > 0).all()
     assert (carried.body.distance_from(torch.tensor([0.0, 1.5, 0.0])) > 0.4).all()  # no floor is so near
+    grid = torch.cartesian_prod(torch.arange(-30.0, 31), torch.tensor([1e3]), torch.arange(-30.0, 31))
+    rays = torch.nn.functional.normalize(
+        grid * torch.tensor([1 / 60, -1, 1 / 60]), dim=-1
+    )  # up from far below
+    hits = trace(carried.body, rig.center + torch.tensor([0.0, 1e3, 0.0]), rays).distance * rays[:, 1]
+    floor = ray_depth(scene, rig.center, torch.tensor([0.0, 1.0, 0.0])).item()
+    lowest = 1e3 + hits[hits.isfinite()].max().item()
+    assert (floor if floor < 2 else 0.6) - lowest == pytest.approx(0.005, abs=0.006)
     up = Icosphere(3).vertices
     up = up[up[:, 1] < -0.5]
     # Nothing above

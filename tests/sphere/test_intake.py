@@ -18,16 +18,16 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import SemiGlobalSweep
 from sphericalvision.sphere.intake import Intake, as_photographs
 
-MASK = torch.arange(32)[None].expand(32, 32) > 12
-RIG = ring_rig(3, image_size=(32, 32))
+MASK = torch.arange(32)[None].expand(28, 32) > 12
+RIG = ring_rig(3, image_size=(28, 32))
 MASKED = CameraRig(RIG.cameras, RIG.world_from_camera, {"cam2": MASK})
 
 
 @pytest.mark.parametrize("grid", [Icosphere(3), None], ids=["sphere", "camera"])
 def test_convention_images_are_in_minus_one_to_one_and_zero_where_not_seen(grid: Icosphere | None) -> None:
     intake = Intake(MASKED, grid)
-    white = intake({name: torch.ones(3, 32, 32) for name in RIG.names})
-    black = intake({name: torch.zeros(3, 32, 32) for name in RIG.names})
+    white = intake({name: torch.ones(3, 28, 32) for name in RIG.names})
+    black = intake({name: torch.zeros(3, 28, 32) for name in RIG.names})
     seen = intake.seen[:, None].expand_as(white)
     torch.testing.assert_close(white, seen.float())
     torch.testing.assert_close(black, -seen.float())
@@ -38,7 +38,7 @@ def test_convention_images_are_in_minus_one_to_one_and_zero_where_not_seen(grid:
 def test_a_batch_is_its_images_one_by_one_in_the_order_of_the_rig(
     grid: Icosphere | None, generator: torch.Generator
 ) -> None:
-    images = {name: torch.rand(2, 3, 32, 32, generator=generator) for name in reversed(RIG.names)}
+    images = {name: torch.rand(2, 3, 28, 32, generator=generator) for name in reversed(RIG.names)}
     intake = Intake(RIG, grid)
     for frame, found in enumerate(intake(images)):
         assert torch.equal(found, intake({name: image[frame] for name, image in images.items()}))
@@ -56,10 +56,27 @@ def test_bytes_are_shares_of_white(generator: torch.Generator) -> None:
 
 @pytest.mark.parametrize("bits", [8, 16])
 def test_whole_numbers_are_shares_of_the_greatest_of_their_type(bits: int) -> None:
-    values = np.linspace(0, 2**bits - 1, 32 * 32 * 3).astype(f"uint{bits}").reshape(32, 32, 3)
+    values = np.linspace(0, 2**bits - 1, 28 * 32 * 3).astype(f"uint{bits}").reshape(28, 32, 3)
     seen = as_photographs(dict.fromkeys(RIG.names, values), RIG)["cam1"]
     expected = torch.from_numpy(values / (2**bits - 1)).float().movedim(-1, 0)
     torch.testing.assert_close(seen, expected, rtol=1e-6, atol=0)
+
+
+@pytest.mark.parametrize("channels", [1, 3, 4])
+def test_layouts_of_arrays_and_of_tensors_are_one_image(channels: int, generator: torch.Generator) -> None:
+    """Alpha is dropped, grey is all three colours; batches and images alone; a little beyond [0, 1] is rounding."""
+    images = torch.rand(5, channels, 28, 32, generator=generator) * 1.02 - 0.01
+    expected = images[:, :3].expand(5, 3, 28, 32)
+    layouts = [images, images.movedim(1, -1), *([images[:, 0]] if channels == 1 else [])]
+    for layout in layouts:
+        for result, truth in (
+            (as_photographs(dict.fromkeys(RIG.names, layout), RIG), expected),
+            (as_photographs(dict.fromkeys(RIG.names, layout[2].numpy()), RIG), expected[2]),
+        ):
+            assert torch.equal(result["cam2"], truth)
+    for outside in (-0.02, 1.02):
+        with pytest.raises(ArgumentError, match="cam3"):
+            as_photographs(dict.fromkeys(RIG.names, images) | {"cam3": images.clamp(max=0) + outside}, RIG)
 
 
 def test_cameras_of_two_sizes_fill_no_tensor() -> None:
@@ -69,7 +86,7 @@ def test_cameras_of_two_sizes_fill_no_tensor() -> None:
 
 @pytest.mark.parametrize("change", [lambda image: image[None][:0], Tensor.to_sparse])
 def test_images_of_nothing_and_sparse_ones_are_refused_by_name(change: Callable[[Tensor], Tensor]) -> None:
-    images = {name: torch.ones(3, 32, 32) for name in RIG.names}
+    images = {name: torch.ones(3, 28, 32) for name in RIG.names}
     with pytest.raises((ArgumentError, ShapeError), match="cam2"):
         as_photographs(images | {"cam2": change(images["cam2"])}, RIG)
 

@@ -122,8 +122,8 @@ def planar_network() -> nn.Sequential:
     return nn.Sequential(
         nn.Conv2d(2, 4, 5, padding=2, padding_mode="reflect"),
         Block(),
-        nn.MaxPool2d(3, 1, 1),
-        nn.Sequential(nn.ZeroPad2d(1), nn.Conv2d(4, 4, 3), nn.AvgPool2d(3, 1, 1)),
+        nn.MaxPool2d((3, 5), 1, (1, 2)),
+        nn.Sequential(nn.ZeroPad2d((2, 2, 1, 1)), nn.Conv2d(4, 4, (3, 5)), nn.AvgPool2d((5, 3), 1, (2, 1))),
         SphereConv2d(4, 4),
         nn.Conv2d(4, 3, 1),
     ).double()

@@ -159,6 +159,9 @@ def test_places_of_one_view_change_nothing_of_those_of_several(generator: torch.
     torch.testing.assert_close(mean[..., :50], overlap)
     torch.testing.assert_close(spread[..., :50], its_spread)
     torch.testing.assert_close(mean[..., 50:], values[0, :, 50:])
+    # By hand: weights of 1 / (1 + r² / s²), twice.
+    mean, spread = robust_mean(*torch.tensor([[0.0, 1.0, 4.0], [2.0, 1.0, 1.0]])[..., None, None], 1)
+    assert (mean.item(), spread.item()) == pytest.approx((0.5884906, 0.9281288))
 
 
 def test_photographs_of_a_rig_merge_into_the_panorama_that_they_show() -> None:
@@ -211,10 +214,18 @@ def test_gradients_go_through_views(quantity: str) -> None:
     assert (by_pixel != 0).double().mean() > 0.5  # at a pole some are not read
 
 
-def test_the_target_of_a_rig_is_a_panorama_camera() -> None:
-    own = Views([torch.zeros(1, 64, 64)] * 4, ring_rig(4, image_size=(64, 64))).target
-    assert isinstance(own, Camera)
-    assert own.image_size[0] > 32
+def test_the_target_of_a_rig_is_a_panorama_as_fine_as_its_finest_camera() -> None:
+    detail = PinholeCamera([30.0, 40.0], [29.5, 23.5], (48, 60))
+    rig = CameraRig([FisheyeCamera.from_field_of_view((64, 64), 3.5), detail], torch.eye(4).expand(2, 4, 4))
+    target = Views([torch.zeros(1, 64, 64), torch.zeros(1, 48, 60)], rig).target
+    assert isinstance(target, Camera)
+    assert target.image_size == (126, 252)  # 40 pixels a radian
+
+
+def test_views_are_as_fine_as_the_panorama_in_their_middle() -> None:
+    cut = views(torch.rand(3, 48, 96), None, [(0.4, 0.3, 1.0)], (1.2, 0.7))
+    sizes = [math.ceil(2 * math.tan(angle / 2) * 48 / math.pi) for angle in (0.7, 1.2)]
+    assert [*cut.images[0].shape[-2:]] == sizes
 
 
 def room_of_pairs() -> tuple[CameraRig, list[RectifiedPair], list[Tensor], Callable[[Tensor], Tensor]]:

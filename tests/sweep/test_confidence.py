@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 from torch import Tensor
 
 from sphericalvision.cameras import ring_rig
 from sphericalvision.data import SampleView
-from sphericalvision.icosphere import Icosphere
+from sphericalvision.icosphere import Icosphere, icosphere_rings
 from sphericalvision.sweep import index_from_inverse_depth, semi_global_sweep
 from sphericalvision.sweep.appearance import local_appearance
 from sphericalvision.sweep.confidence import sweep_confidence
@@ -22,13 +24,25 @@ def one_valley(index: Tensor, depth: float, number: int = 16) -> Tensor:
     return cost.scatter(1, index.long()[:, None], 1 - depth)
 
 
-def test_grows_with_what_other_answers_cost_more() -> None:
-    index, full = torch.full((1, 162), 7.0), torch.ones(1, 162)
-    values = [
-        sweep_confidence(one_valley(index, depth), full, index, 1).mean() for depth in (0.01, 0.1, 1.0, 3.0)
-    ]
-    assert values == sorted(values)
-    assert values[-1] > 0.95
+def test_is_the_logistic_regression_of_margin_and_spread(generator: torch.Generator) -> None:
+    """Vertex by vertex: indices within two rings, costs farther than one and a half hypotheses of two tried ones."""
+    cost, correlation = (
+        torch.rand(2, 12, 162, generator=generator),
+        0.2 * torch.rand(2, 162, generator=generator),
+    )
+    index = 11 * torch.rand(2, 162, generator=generator)
+    found = sweep_confidence(cost, correlation, index, substeps=2)
+    one, two = icosphere_rings(2, 1), icosphere_rings(2, 2)
+    for sample, vertex in ((0, 0), (0, 1), (0, 77), (1, 60), (1, 161)):
+        around = index[sample, two[vertex][two[vertex] >= 0]]
+        winner = round(index[sample, vertex].item())
+        far = [cost[sample, j, vertex] for j in range(12) if abs(j - winner) > 3]
+        margin = max(float(min(far) - cost[sample, winner, vertex]), 1e-6)
+        spread = float(around.max() - around.min()) / 2
+        logit = 2.27 + 0.5 * math.log(margin) - 1.12 * math.log(spread + 0.15)
+        contrast = float(correlation[sample, one[vertex][one[vertex] >= 0]].mean()) / 0.1
+        expected = min(contrast, 1) / (1 + math.exp(-logit))
+        assert found[sample, vertex].item() == pytest.approx(expected, rel=1e-4)
 
 
 def test_neighbouring_hypotheses_do_not_contradict() -> None:

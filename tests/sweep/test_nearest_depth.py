@@ -27,22 +27,30 @@ def test_found_depth_is_before_nearly_everything_and_not_far_before(kind, radius
     assert found > 0.4 * depth.quantile(0.005)
 
 
-@pytest.mark.parametrize(("false", "first"), [(0.01, 4.0), (0.03, 1.0)])
+@pytest.mark.parametrize(
+    ("false", "surface", "nearest"),
+    [(0.01, 4.0, 2.0), (0.03, 4.0, 0.5), (0.01, 0.1, 0.06), (0.01, 0.125, 0.0625)],
+)
 def test_of_what_is_only_seen_four_times_as_much_may_be_nearer(
-    false: float, first: float, monkeypatch: pytest.MonkeyPatch
+    false: float, surface: float, nearest: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Between one and four times the quantile of false matches do not count, more do: the floor, though never sure."""
-    depths = torch.full((1, 1000), 4.0)
+    """Between one and four times the quantile of false matches do not count, more do: the floor, though never sure.
+
+    What is as near as the cameras themselves is not looked for.
+    """
+    depths, calls = torch.full((1, 1000), surface), []
     depths[:, : int(1000 * false)] = 1.0
     sure = depths > 100
     sure[:, -1] = True
 
     def sweep(images: object, rig: object, number: int, nearest: float, **_: object) -> tuple[Tensor, ...]:
-        return index_from_depth(depths, number, nearest), sure.float(), torch.ones_like(sure)
+        calls.append((number, nearest))
+        return index_from_depth(depths, number, nearest), 0.59 + 0.02 * sure, torch.ones_like(sure)
 
     monkeypatch.setattr("sphericalvision.sweep.nearest_depth.semi_global_sweep", sweep)
     found = nearest_depth(torch.zeros(1, 4, 3, 642), ring_rig(4, 0.05, (16, 16)), quantile=0.005, margin=0.5)
-    assert found == pytest.approx(0.5 * first, rel=1e-3)
+    assert found == pytest.approx(nearest, rel=1e-3)
+    assert calls[0] == (32, pytest.approx(1.2 * 0.05))
 
 
 def test_refuses_a_rig_without_size_and_wrong_shares():

@@ -195,7 +195,9 @@ def _seen_by_all(
         )
         bags = locator.faces.index_select(0, triangles)
         values = F.embedding_bag(bags, row, per_sample_weights=shares.T.to(row), mode="sum")
-        color, shown = values.T.contiguous().view(-1, *inverse_depth.shape).split((row.shape[1] - 1, 1))
+        color, shown = (
+            values.T.contiguous().view(row.shape[1], *inverse_depth.shape).split((row.shape[1] - 1, 1))
+        )
         weights.append((shown > 0.5).to(shown))
         colors.append(color / shown.clamp(min=0.5))
     cameras = torch.stack(weights).sum(0)

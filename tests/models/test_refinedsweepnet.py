@@ -456,6 +456,8 @@ def test_around_the_chosen_vertices_cameras_agree_at_the_true_depth(frame):
     assert (around[:, :, 1] <= around[:, :, 2]).all()
     right, far = around[0, :, 1:3][..., chosen[0]].mean(-1)
     assert (right < 0.8 * far).all()
+    nowhere = torch.zeros_like(chosen)  # a view without any boundary
+    assert not appearance_around(images, seen, offsets, inverse_depths, nowhere).any()
     with kernels("graph"):  # computed everywhere, and then left out
         torch.testing.assert_close(
             appearance_around(images, seen, offsets, inverse_depths, chosen), around, rtol=1e-3, atol=1e-4

@@ -44,10 +44,11 @@ def test_shapes_in_docstrings_are_no_emphasis(monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_lists_in_shell_blocks_are_quoted(page: Path) -> None:
+def test_lists_in_command_lines_are_quoted(page: Path) -> None:
     """Zsh takes brackets for a pattern of files, and finds none."""
-    for block in blocks(page, "bash"):
-        lines = re.sub(r"'[^']*'|\"[^\"]*\"|#.*", "", block.body).splitlines()
+    inline = re.findall(r"`((?:sphericalvision-|python )[^`]*=[^`]*)`", FENCE.sub("", page.read_text()))
+    for script in [*(block.body for block in blocks(page, "bash", "text")), *inline]:
+        lines = re.sub(r"'[^']*'|\"[^\"]*\"|#.*", "", script).splitlines()
         assert not [line for line in lines if re.search(r"=\[", line)]
 
 

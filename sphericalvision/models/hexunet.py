@@ -37,10 +37,7 @@ class HexResidualBlock(nn.Module):
     def __init__(self, channels: int) -> None:
         super().__init__()
         self.first = _keeping_size(HexConv2d(channels, channels, bias=True))
-        self.second = HexConv2d(channels, channels, bias=True)
-        nn.init.zeros_(self.second.weight)
-        if self.second.bias is not None:
-            nn.init.zeros_(self.second.bias)
+        self.second = _at_zero(HexConv2d(channels, channels, bias=True))
 
     def forward(self, values: Float[Tensor, "B C V"]) -> Float[Tensor, "B C V"]:
         return self.second(self.first(values, rectify=True), rectify=True, residual=values)  # type: ignore[no-any-return]
@@ -48,6 +45,8 @@ class HexResidualBlock(nn.Module):
 
 class HexUNet(nn.Module):
     """Map values ``(B, C, V)`` on an icosphere to as many channels, each vertex knowing ever wider surroundings.
+
+    Before training it changes nothing.
 
     Args:
         widths: channels at the level of the values and at each coarser one.
@@ -77,9 +76,9 @@ class HexUNet(nn.Module):
         self.coarsen = nn.ModuleList(
             _keeping_size(HexConv2d(fine, coarse, 2, bias=True)) for fine, coarse in steps
         )
-        self.refine = nn.ModuleList(
-            _keeping_size(nn.Conv1d(coarse, fine, 1), rectified=False) for fine, coarse in steps
-        )
+        # What the coarser levels say at random would be noise: the first steps of a training would take it away by
+        # values that are negative everywhere, and most of these levels would never learn again.
+        self.refine = nn.ModuleList(_at_zero(nn.Conv1d(coarse, fine, 1)) for fine, coarse in steps)
         self.up = nn.ModuleList(_blocks(*level) for level in zip(widths[:-1], counts, strict=False))
 
     def forward(self, values: Float[Tensor, "B C V"]) -> Float[Tensor, "B C V"]:
@@ -97,11 +96,21 @@ def _blocks(channels: int, count: int) -> nn.Sequential:
     return nn.Sequential(*(HexResidualBlock(channels) for _ in range(count)))
 
 
-def _keeping_size(convolution: Convolution, rectified: bool = True) -> Convolution:
-    """A convolution that begins with values as large as those that come in."""
+def _keeping_size(convolution: HexConv2d) -> HexConv2d:
+    """A convolution that begins with rectified values as large as those that come in."""
     # Nothing is normalised: this alone keeps values their size from level to level. With weights as torch begins, those
     # of the coarsest of five levels are a thirtieth of the finest's, and hardly learn.
-    nn.init.kaiming_normal_(convolution.weight, nonlinearity="relu" if rectified else "linear")
+    nn.init.kaiming_normal_(convolution.weight, nonlinearity="relu")
+    return _without_bias(convolution)
+
+
+def _at_zero(convolution: Convolution) -> Convolution:
+    """A convolution that begins with nothing, and learns at once, since what comes in is not zero."""
+    nn.init.zeros_(convolution.weight)
+    return _without_bias(convolution)
+
+
+def _without_bias(convolution: Convolution) -> Convolution:
     if convolution.bias is not None:
         nn.init.zeros_(convolution.bias)
     return convolution

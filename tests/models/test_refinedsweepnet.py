@@ -499,11 +499,14 @@ def test_details_change_nothing_before_training_and_learn_where_images_are_finer
         coarser.predict(images[..., :162], rig)
 
 
-def test_unet_keeps_levels_apart_at_first():
-    """Residual blocks begin as identities, so a U-Net of one level changes nothing."""
-    values = torch.rand(2, 4, 162)
-    assert torch.equal(HexUNet((4,), blocks=2)(values), values)
-    assert HexUNet((4, 6, 8))(values).shape == values.shape
+def test_a_unet_begins_as_an_identity_and_each_coarser_level_learns_at_once():
+    values, net = torch.rand(2, 4, 162), HexUNet((4, 6, 8), blocks=2)
+    assert torch.equal(net(values), values)
+    net(values).square().sum().backward()
+    assert net.refine[0].weight.grad.any()
+    torch.nn.init.ones_(net.refine[0].weight)
+    net(values).square().sum().backward()
+    assert net.refine[1].weight.grad.any()
 
 
 def test_values_keep_their_size_down_to_the_coarsest_level(generator):

@@ -223,8 +223,7 @@ class Views:
                 raise ArgumentError(f"quantity: depth has one channel, got {image.shape[-3]}")
             depth = image.squeeze(-3)
             if quantity == "z":
-                depth, in_front = depth_from_z(depth, camera)
-                usable = usable & in_front
+                depth, _ = depth_from_z(depth, camera)  # 0 where it says nothing
             usable = usable & (depth > 0) & depth.isfinite()
             # Inverse depth of a plane is linear in directions, so that interpolated planes stay planes.
             image = (1 / torch.where(usable, depth, 1.0)).unsqueeze(-3)

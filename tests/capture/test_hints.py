@@ -32,7 +32,7 @@ SCENE, GRID = make_scene("room", seed=4), Icosphere(5)
 
 
 def rig_of_four() -> CameraRig:
-    return ring_rig(4, image_size=(160, 160))
+    return ring_rig(4, image_size=(150, 160))
 
 
 def true_depth(rig: CameraRig) -> Tensor:
@@ -89,7 +89,7 @@ def test_points_and_panoramas_are_told_from_the_centre() -> None:
     [("range", "metres"), ("z", "scale"), ("range", "scale"), ("range", "affine"), ("z", "affine")],
 )
 def test_depth_images_stand_where_their_cameras_stand_and_are_fitted_each(quantity: Any, fit: Any) -> None:
-    rig = ring_rig(4, image_size=(160, 160), field_of_view=2.6).rotated(tilt=0.3)
+    rig = ring_rig(4, image_size=(150, 160), field_of_view=2.6).rotated(tilt=0.3)
     images = depth_images(rig)
     for number, (name, camera) in enumerate(rig.cameras.items()):
         rays = camera.unproject(camera.pixel_grid(torch.float32)).directions
@@ -130,7 +130,7 @@ def test_views_at_the_origin_stand_at_the_centre_and_masks_count() -> None:
     )
     inverse_depth, weight = Hint.of_views(Views(images, center)).on(GRID, there)
     assert error((inverse_depth, weight), rig)[0] < 0.02
-    masks = {name: torch.zeros(160, 160, dtype=torch.bool) for name in rig.names[1:]}
+    masks = {name: torch.zeros(150, 160, dtype=torch.bool) for name in rig.names[1:]}
     masked = Hint.of_views(Views(images, center.replaced(masks=masks))).on(GRID, there)
     seen = GRID.vertices[masked.weight[0] > 0]
     assert 0.3 < len(seen) / GRID.num_vertices < 0.75
@@ -207,9 +207,9 @@ def test_frames_are_averaged_and_what_moved_is_forgotten() -> None:
 
 
 def test_infinite_pixels_say_nothing(tmp_path: Path) -> None:
-    rig = ring_rig(2, image_size=(40, 40))
-    true = {name: torch.randint(2000, 3000, (1, 40, 40)) / 1000 for name in rig.names}
-    known = {name: torch.rand(1, 40, 40) > 0.3 for name in rig.names}
+    rig = ring_rig(2, image_size=(36, 40))
+    true = {name: torch.randint(2000, 3000, (1, 36, 40)) / 1000 for name in rig.names}
+    known = {name: torch.rand(1, 36, 40) > 0.3 for name in rig.names}
     zero, infinite = (
         {name: image.where(known[name], unknown) for name, image in true.items()}
         for unknown in (0, torch.inf)
@@ -283,7 +283,7 @@ def test_views_that_agree_with_nothing_are_left_out() -> None:
     rig = rig_of_four()
     images = depth_images(rig)
     generator = torch.Generator().manual_seed(0)
-    images["cam3"] = (3 * torch.randn(1, 160, 160, generator=generator)).exp()
+    images["cam3"] = (3 * torch.randn(1, 150, 160, generator=generator)).exp()
     with pytest.warns(UserWarning, match="hint: view 3 of 4 is left out"):
         hint = Hint.of_views(Views(images, rig), fit="scale").on(GRID, rig, answer(rig))
     assert error(hint, rig)[0] < 0.02

@@ -12,15 +12,15 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import find_own_body
 
-SIZE = 96
-RIG = ring_rig(2, image_size=(SIZE, SIZE))
+SIZE, WIDTH = 96, 112
+RIG = ring_rig(2, image_size=(SIZE, WIDTH))
 Images = dict[str, Tensor]
 
 
-def world(seed: int, size: int = SIZE) -> Images:
+def world(seed: int) -> Images:
     """Blobs, other ones in every frame and camera."""
     drawn = np.random.default_rng(seed)
-    blobs = {name: cv2.GaussianBlur(drawn.random((size, size)), (0, 0), size / 32) for name in RIG.names}
+    blobs = {name: cv2.GaussianBlur(drawn.random((SIZE, WIDTH)), (0, 0), SIZE / 32) for name in RIG.names}
     return {
         name: torch.from_numpy(2 * (image - 0.5) + 0.5).float().clamp(0, 1).expand(3, -1, -1)
         for name, image in blobs.items()
@@ -34,8 +34,8 @@ def with_body(images: Images) -> Images:
     return {**images, "cam1": first}
 
 
-BODY = torch.zeros(SIZE, SIZE, dtype=torch.bool)
-BODY[66:, 18:78] = True
+BODY = torch.zeros(SIZE, WIDTH, dtype=torch.bool)
+BODY[66:, 26:86] = True
 SEEN = RIG.cameras["cam1"].unproject(RIG.cameras["cam1"].pixel_grid()).valid
 
 
@@ -94,7 +94,7 @@ def test_what_two_cameras_see_far_away_is_no_body() -> None:
 
 
 def test_masks_before_remain_and_hide_what_they_hide() -> None:
-    before = torch.ones(SIZE, SIZE, dtype=torch.bool)
+    before = torch.ones(SIZE, WIDTH, dtype=torch.bool)
     before[58:] = False
     rig = CameraRig(RIG.cameras, RIG.world_from_camera, {"cam1": before})
     found = find_own_body(rig, [with_body(world(seed)) for seed in range(12)])
@@ -104,7 +104,7 @@ def test_masks_before_remain_and_hide_what_they_hide() -> None:
 
 def test_large_images_are_looked_at_in_a_small_size() -> None:
     factor = 4
-    size = (factor * SIZE, factor * SIZE)
+    size = (factor * SIZE, factor * WIDTH)
     large = RIG.resized(size)
     frames = [with_body(world(seed)) for seed in range(12)]
     up = [

@@ -21,7 +21,7 @@ GAINS = (1.0, 0.8, 1.1, 0.9)
 
 @pytest.fixture(scope="module")
 def rig() -> CameraRig:
-    return ring_rig(4, image_size=(48, 48))
+    return ring_rig(4, image_size=(48, 56))
 
 
 def faulty(rig: CameraRig, loss: float = 0.5) -> dict[str, torch.Tensor]:
@@ -53,15 +53,15 @@ def test_corrected_images_are_alike(rig: CameraRig) -> None:
 
 
 def test_cameras_without_a_fault_are_left_alone(rig: CameraRig) -> None:
-    colors = torch.tensor([0.7, 0.4, 0.2]).view(3, 1, 1).expand(3, 48, 48)
+    colors = torch.tensor([0.7, 0.4, 0.2]).view(3, 1, 1).expand(3, 48, 56)
     found = calibrate_photometry(rig, dict.fromkeys(rig.names, colors))
     assert found.strength < 1e-5
 
 
 def test_what_a_mask_hides_does_not_count(rig: CameraRig) -> None:
     images = faulty(rig)
-    mask = torch.ones(48, 48, dtype=torch.bool)
-    mask[:, :36] = False
+    mask = torch.ones(48, 56, dtype=torch.bool)
+    mask[:, :40] = False
     images["cam2"] = images["cam2"].where(mask, 0.9)
     masked = calibrate_photometry(CameraRig(rig.cameras, rig.world_from_camera, {"cam2": mask}), images)
     clean = calibrate_photometry(rig, faulty(rig))
@@ -75,7 +75,7 @@ def test_a_batch_of_frames_counts_as_one(rig: CameraRig) -> None:
     twice = {name: torch.stack((image, image)) for name, image in images.items()}
     one, two = calibrate_photometry(rig, images), calibrate_photometry(rig, twice)
     torch.testing.assert_close(one.falloff, two.falloff, atol=1e-4, rtol=1e-3)
-    assert one.corrected(rig, twice)["cam1"].shape == (2, 3, 48, 48)
+    assert one.corrected(rig, twice)["cam1"].shape == (2, 3, 48, 56)
 
 
 def test_cameras_that_share_no_view_say_nothing() -> None:
@@ -148,7 +148,7 @@ def test_cameras_are_compared_where_they_agree_best(far: float) -> None:
 
 
 def test_large_images_are_compared_when_reduced(rig: CameraRig) -> None:
-    large = rig.resized((480, 480))
+    large = rig.resized((480, 560))
     found, like = calibrate_photometry(large, faulty(large)), calibrate_photometry(rig, faulty(rig))
     torch.testing.assert_close(found.exposure, like.exposure, atol=0.01, rtol=0)
     torch.testing.assert_close(found.strength, like.strength, atol=0.02, rtol=0)
@@ -156,7 +156,7 @@ def test_large_images_are_compared_when_reduced(rig: CameraRig) -> None:
 
 def test_an_unsure_difference_is_left_alone(rig: CameraRig) -> None:
     """Little is left of a picture with too much contrast: what it tells of lenses is half as large as its spread."""
-    fine = rig.resized((192, 192))
+    fine = rig.resized((192, 224))
     frame = render_rig(make_scene("rough", seed=1007), fine, 2)
     images = {name: ((image - 0.3) * 1.6 + 0.3).clamp(0, 1) for name, image in frame.items()}
     found = calibrate_photometry(fine, images)

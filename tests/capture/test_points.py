@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -100,6 +101,16 @@ def test_points_are_kept_by_confidence_distance_and_sight() -> None:
     points = ball(forward, confidence=0.7).points().points - forward.center
     assert 0 < len(points) < len(depth.index)
     assert (torch.atan2(points[:, :2].norm(dim=1), points[:, 2]) < math.radians(61)).all()
+
+
+def test_the_share_seen_is_of_the_sphere_and_infinity_is_no_point() -> None:
+    """Half a hypothesis away from infinity is as far as any."""
+    depth = ball(ring_rig(3, image_size=(16, 16)))
+    down = depth.directions[:, 1]
+    assert replace(depth, seen=down > 0.5).share_seen == pytest.approx(0.25, abs=0.01)
+    assert depth.max_depth == pytest.approx(14.0, rel=1e-4)  # of 8 hypotheses from 1 m on
+    far = replace(depth, index=torch.where(down > 0, 0.51, 0.49))
+    assert len(far.points().points) == (down > 0).sum()
 
 
 def test_a_voxel_keeps_one_point() -> None:

@@ -12,11 +12,14 @@ from sphericalvision.crown import (
     CrownAvgPool2d,
     CrownBatchNorm2d,
     CrownBatchNorm3d,
+    CrownInstanceNorm2d,
+    CrownInstanceNorm3d,
     crown_conv2d,
     crown_conv3d,
     crown_upsample,
     to_crown,
 )
+from sphericalvision.crown.norm import NORMS, crown_norm
 from sphericalvision.icosphere import Icosphere, icosphere_neighbors, num_icosphere_vertices
 from tests.values import random_values
 
@@ -105,6 +108,12 @@ def test_batch_norm_is_one_norm_over_all_places(norm: type[nn.Module], sizes: tu
     for key, value in theirs.state_dict().items():
         torch.testing.assert_close(ours.state_dict()[key], value)
     torch.testing.assert_close(in_a_row(ours.eval()(crown)), theirs.eval()(in_a_row(crown)))
+
+
+def test_norms_by_name() -> None:
+    types = [CrownBatchNorm2d, CrownBatchNorm3d, CrownInstanceNorm2d, CrownInstanceNorm3d]
+    norms = [crown_norm(kind, dims, 3) for kind in NORMS for dims in (2, 3)]
+    assert [(type(norm), norm.num_features) for norm in norms] == [(each, 3) for each in types]
 
 
 @pytest.mark.parametrize(("norm", "sizes"), [(CrownBatchNorm2d, ()), (CrownBatchNorm3d, (4,))])

@@ -265,6 +265,21 @@ def test_a_pixel_is_known_by_points_within_half_a_gap_of_its_ray(hole: float, kn
     assert bool(truth.valid[1, 1]) == known
 
 
+@pytest.mark.parametrize(
+    ("angle", "distance", "known"),
+    [(0.04, 2.0, False), (0.06, 2.0, True), (0.06, 0.8, False), (0.12, 0.8, True)],
+)
+def test_a_point_behind_a_plane_is_asked_about_half_as_far_away_as_one_in_front(
+    angle: float, distance: float, known: bool
+) -> None:
+    """Through a hole in a wall at 1 m, of a gap of 0.1."""
+    x, y = torch.meshgrid(*(torch.linspace(-0.5, 0.5, 201),) * 2, indexing="xy")
+    wall = torch.stack((x, y, torch.ones_like(x)), -1)[torch.hypot(x - angle, y) > 0.038]
+    points = torch.cat((wall, distance * torch.tensor([[angle, 0.0, 1.0]])))
+    truth = truth_from_points(points, FisheyeCamera.from_field_of_view((3, 3), 0.6), gap=0.1)
+    assert bool(truth.valid[1, 1]) == known
+
+
 def test_planes_so_steep_that_depth_hangs_on_the_pixel_are_not_told() -> None:
     """A floor out to its horizon: no depth is more than a quarter off that of the point that it comes from."""
     x, z = torch.meshgrid(torch.linspace(-4, 4, 320), torch.linspace(0.5, 12, 600), indexing="ij")

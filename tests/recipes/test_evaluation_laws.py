@@ -140,6 +140,18 @@ def test_relative_errors_count_up_to_ten_metres_in_rooms_and_eighty_elsewhere() 
     assert table.csv() == "name,MAE,AbsRel\nnet,1.5,0.0625\n"
 
 
+def test_records_of_other_settings_are_not_taken_and_what_is_drawn_needs_its_picture(tmp_path: Path) -> None:
+    path = tmp_path / "net.json"
+    record = Record(path, {"level": 5})
+    record.add("7", {"MAE": 1.5})
+    record.add("8", {"MAE": 2.5}, torch.tensor([0.25, 3.0]))
+    record.save()
+    same, other = Record(path, {"level": 5}), Record(path, {"level": 6})
+    assert [same.has(name, drawn) for name in "789" for drawn in (False, True)] == [1, 0, 1, 1, 0, 0]
+    assert (same.frames, same.drawn["8"].tolist()) == (record.frames, [0.25, 3.0])
+    assert (other.frames, other.drawn) == ({}, {})
+
+
 def test_what_was_published_stands_below_what_was_measured() -> None:
     record = Record()
     errors = {"depth": {"MAE": 1.5, "RMSE": 2.5, "MARE": 0.125, "LRCE": 0.75}}

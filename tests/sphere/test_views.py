@@ -151,6 +151,15 @@ def test_no_seam_shows_where_a_view_ends(camera: Camera) -> None:
         assert weights[[0, -1]].max() < 0.05 * weights.max()
 
 
+def test_pixels_count_by_their_solid_angle_and_their_distance_from_the_border() -> None:
+    camera = PinholeCamera([40.0, 50.0], [47.5, 31.5], (64, 96)).to(DOUBLE)
+    u, v = (camera.pixel_grid() - camera.principal_point).abs().unbind(-1)
+    slope = (u / 40).hypot(v / 50)
+    border = torch.stack((1 - u / 48, 1 - v / 32, 1 - slope.atan() / camera.max_angle)).amin(0)
+    expected = (1 + slope.square()) ** -1.5 * border
+    torch.testing.assert_close(pixel_weights(camera), expected, atol=3e-3, rtol=0)
+
+
 def test_places_of_one_view_change_nothing_of_those_of_several(generator: torch.Generator) -> None:
     values, weights = (torch.rand(4, c, 250, generator=generator) for c in (2, 1))
     weights[1:, :, 50:] = 0

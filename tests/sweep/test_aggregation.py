@@ -54,8 +54,8 @@ def test_concatenation_shuffles_whole_cameras_in_training_alone(generator: torch
         assert torch.equal(aggregation(volume), torch.stack(cameras, 1).flatten(1, 2))
     assert len(orders) > 8
     assert all(sorted(order) == [0, 1, 2, 3] for order in orders)
-    still = Concatenation(3, 4, shuffle=False).train()
-    assert torch.equal(still(volume), aggregation.eval()(volume))
+    for still in (Concatenation(3, 4, shuffle=False), named_aggregation("concatenation", 3, 4)):
+        assert torch.equal(still.train()(volume), aggregation.eval()(volume))
 
 
 @pytest.mark.parametrize("name", ["concatenation", "variance"])

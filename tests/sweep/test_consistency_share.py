@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 
@@ -57,6 +59,18 @@ def test_a_share_is_reached_over_most_where_two_cameras_see() -> None:
     known[:, :, 1] = False
     torch.testing.assert_close(consistency_share(place, correlation, known), torch.tensor([0.5 / 0.8]))
     assert consistency_share(place, correlation, ~(correlation > 2) & False).isnan().all()
+
+
+def test_a_depth_at_which_no_two_cameras_see_a_thing_has_no_share() -> None:
+    """Back to back, two lenses of 190° see the same from two metres on."""
+    rig = ring_rig(2, field_of_view=math.radians(190))
+    images = sphere_at(0.0, rig, level=3)
+    far, near = (
+        photo_consistency_share(torch.full((1, 162), index), images, rig, NUM_HYPOTHESES, MIN_DEPTH)
+        for index in (0.0, 8.0)
+    )
+    assert 0.9 < far.item() <= 1
+    assert near.isnan()
 
 
 def test_winner_takes_all_reaches_almost_all() -> None:

@@ -49,19 +49,15 @@ def cameras(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     random = torch.rand(config.num_points, 2, generator=torch.Generator().manual_seed(0)) * size
     for dtype in (torch.float32, torch.float64):
         pixels = random.to(device, dtype)
-        project: dict[str, Run] = {}
-        unproject: dict[str, Run] = {}
+        ways: dict[str, tuple[Run, Run]] = {}
         for name, model in MODELS.items():
             camera = model().to(device, dtype)
             points = camera.unproject(pixels).directions
-            project[name], unproject[name] = (
-                partial(camera.project, points),
-                partial(camera.unproject, pixels),
-            )
-            for library, (there, back) in _others(name, points, pixels).items():
-                project[f"{name}, {library}"], unproject[f"{name}, {library}"] = there, back
-        for verb, runs in (("project", project), ("unproject", unproject)):
-            yield Comparison(f"{verb} {config.num_points} points, {str(dtype).removeprefix('torch.')}", runs)
+            ways[name] = partial(camera.project, points), partial(camera.unproject, pixels)
+            ways |= {f"{name}, {library}": runs for library, runs in _others(name, points, pixels).items()}
+        for column, verb in enumerate(("project", "unproject")):
+            title = f"{verb} {config.num_points} points, {str(dtype).removeprefix('torch.')}"
+            yield Comparison(title, {name: runs[column] for name, runs in ways.items()})
     yield from _images(device)
 
 

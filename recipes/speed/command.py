@@ -23,7 +23,6 @@ from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Positive, S
 from sphericalvision.recipes.speed.busy import busy
 from sphericalvision.recipes.speed.cameras import cameras
 from sphericalvision.recipes.speed.frames import data, fps, presets
-from sphericalvision.recipes.speed.gpu import gpu
 from sphericalvision.recipes.speed.measuring import (
     MIN_ROUNDS,
     Comparison,
@@ -34,7 +33,7 @@ from sphericalvision.recipes.speed.measuring import (
     prepare_operators,
     save_measurements,
 )
-from sphericalvision.recipes.speed.networks import convolutions, network, variants
+from sphericalvision.recipes.speed.networks import convolutions, gpu, network, variants
 
 
 @with_config(STRICT)

@@ -18,12 +18,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor
 from torch.utils.benchmark import timer  # waits for a GPU
 
 from sphericalvision.core import MissingCompilerError, check_choice
 from sphericalvision.crown import HexConv2d
-from sphericalvision.icosphere import num_icosphere_vertices
 from sphericalvision.io.files import write_bytes
 from sphericalvision.kernels import kernels
 from sphericalvision.recipes.app.cli import console
@@ -142,38 +140,32 @@ def prepare_operators(device: torch.device) -> None:
         console.print(f"measured without operators in C++: {error}")
 
 
-def random_images(level: int, device: torch.device, batch: int = 1) -> Tensor:
-    """Images of four cameras on an icosphere."""
-    return 2 * torch.rand(batch, 4, 3, num_icosphere_vertices(level), device=device) - 1
-
-
 def added_memory(run: Run, device: torch.device) -> float:
     """MB by which a run raises the memory in use: the median of three.
 
     Raises:
         AttributeError, OSError: the system is not Linux.
     """
+
+    def most() -> float:
+        """Bytes that were in use at once since the mark."""
+        if device.type == "cuda":
+            return torch.cuda.max_memory_allocated(device)
+        status = Path("/proc/self/status").read_text()
+        return 1024 * int(re.findall(r"VmHWM:\s+(\d+)", status)[0])
+
     added = []
     for _ in range(3):
         if device.type == "cuda":
             torch.cuda.reset_peak_memory_stats(device)
-            before = torch.cuda.memory_allocated(device)
-            run()
-            added.append((torch.cuda.max_memory_allocated(device) - before) / 1e6)
         else:
             # Freed memory is given back, and counts when it is allocated again
             ctypes.CDLL(None).malloc_trim(0)
             Path("/proc/self/clear_refs").write_text("5")  # a new high-water mark
-            resident = _status("VmRSS")
-            run()
-            added.append(max(0.0, _status("VmHWM") - resident))
+        before = most()
+        run()
+        added.append((most() - before) / 1e6)
     return statistics.median(added)
-
-
-def _status(field: str) -> float:
-    """MB of memory in use (``VmRSS``), or its high-water mark (``VmHWM``)."""
-    text = Path("/proc/self/status").read_text()
-    return float(re.findall(rf"^{field}:\s+(\d+)", text, re.MULTILINE)[0]) * 1024 / 1e6
 
 
 def machine(device: torch.device) -> dict[str, str]:

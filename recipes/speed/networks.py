@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Networks against the readable formulas of the same numbers, and with each other; convolutions against planar ones."""
+"""Networks against the readable formulas of the same numbers, with each other, and on a GPU; planar convolutions."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
@@ -14,13 +14,33 @@ from omegaconf import DictConfig
 from torch import Tensor, nn
 
 from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.capture import Predictor
+from sphericalvision.capture.graphs import GraphedFunction
 from sphericalvision.crown import Crown, CrownConv2d, CrownConv3d, HexConv2d, HexConv3d, to_crown
 from sphericalvision.data import ToSphere
 from sphericalvision.icosphere import icosphere_vertices, num_icosphere_vertices
 from sphericalvision.kernels import kernels
-from sphericalvision.models import DepthNetwork, IcoSweepNet, SemiGlobalSweep
+from sphericalvision.models import DepthNetwork, IcoSweepNet, SemiGlobalSweep, pretrained
 from sphericalvision.recipes.app.cli import build
-from sphericalvision.recipes.speed.measuring import OURS, Comparison, Run, added_memory, random_images, ways
+from sphericalvision.recipes.speed.measuring import OURS, Comparison, Run, added_memory, ways
+from sphericalvision.scenes import make_scene, render_rig
+
+PREDICTORS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "level 5": {"level": 5},
+    "level 7": {"level": 7},
+    "default, bfloat16": {"precision": "bfloat16"},
+    "default, float16": {"precision": "float16"},
+}
+"""Options of the predictors that are timed on a GPU; each level that stands alone is one of the networks, too."""
+BATCHES = 1, 16
+MAX_SIDE = 800
+"""Height and width of the images on a GPU, at most."""
+
+
+def random_images(level: int, device: torch.device, batch: int = 1) -> Tensor:
+    """Images of four cameras on an icosphere."""
+    return 2 * torch.rand(batch, 4, 3, num_icosphere_vertices(level), device=device) - 1
 
 
 def network(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
@@ -63,8 +83,7 @@ def training_steps(
     def step(recompute: bool = False) -> None:
         net.train().configure(recompute=recompute)
         net(images, tables).sum().backward()
-        net.eval().configure(recompute=False)
-        net.zero_grad()
+        net.eval().configure(recompute=False).zero_grad()
 
     steps = ways(step, options, device, inference=False)
     return steps | {f"{OURS}, recompute": partial(step, recompute=True)}
@@ -90,18 +109,17 @@ def variants(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
     """Inference and training steps of ``config.variants`` of conf/model at every setting, and the plain sweep."""
     for level, number in config.settings:
         rig, images = ring_rig(4).to(device), random_images(level, device)
+        nets: dict[str, DepthNetwork] = {name: variant(name, level, number) for name in config.variants}
+        sizes = [
+            f"{name}: {sum(p.numel() for p in net.parameters()):,} parameters" for name, net in nets.items()
+        ]
         inference: dict[str, Run] = {}
         steps: dict[str, Run] = {}
-        sizes = []
-        for name in config.variants:
-            net = variant(name, level, number).to(device)
-            tables = net.tables(rig)
+        for name, net in {**nets, "semi-global sweep": SemiGlobalSweep(level, number)}.items():
+            tables = net.to(device).tables(rig)
             inference |= _named(name, ways(partial(net, images, tables), config.options, device))
-            steps |= _named(name, training_steps(net, images, tables, config.options, device))
-            sizes.append(f"{name}: {sum(parameter.numel() for parameter in net.parameters()):,} parameters")
-        sweep = SemiGlobalSweep(level, number).to(device)
-        run = partial(sweep, images, sweep.tables(rig))
-        inference |= _named("semi-global sweep", ways(run, config.options, device))
+            if name in nets:
+                steps |= _named(name, training_steps(net, images, tables, config.options, device))
         label = f"level {level} to {level - 2}, N = {number}"
         yield Comparison(f"{label}: networks", inference, "; ".join(sizes) + ".")
         yield Comparison(f"{label}: one training step of networks, without the optimiser", steps)
@@ -116,6 +134,69 @@ def variant(name: str, level: int, num_hypotheses: int) -> IcoSweepNet:
     overrides = [f"model={name}", f"model.level={level}", f"model.num_hypotheses={num_hypotheses}"]
     net: IcoSweepNet = build(compose("train", overrides).model, "variants")
     return net.eval()
+
+
+def gpu(config: DictConfig, device: torch.device) -> Iterator[Comparison]:
+    """Parity, a frame of a ``Predictor``, forward passes and training steps; the most important first."""
+    side = min(MAX_SIDE, max(config.image_sides))
+    rig, ring = ring_rig(4, image_size=(side, side)), ring_rig(4).to(device)
+    rendered = render_rig(make_scene("room", seed=1), rig)
+    images = {name: (255 * image).byte() for name, image in rendered.items()}
+    calls = {
+        name: partial(Predictor(rig, min_depth=0.55, device=device, **options), images)
+        for name, options in PREDICTORS.items()
+    }
+
+    def difference(name: str) -> float:
+        """Difference of the index from that of the CPU in float32, in the mean over seen directions."""
+        level = PREDICTORS[name].get("level")
+        expected = Predictor(rig, level=level, min_depth=0.55, device="cpu")(images)
+        return float((calls[name]().index.cpu() - expected.index)[expected.seen].abs().mean())
+
+    yield Comparison(
+        "the index on the device and on the CPU, in the mean",
+        {name: partial(difference, name) for name in calls},
+        unit="hypotheses",
+    )
+    yield Comparison(
+        f"Predictor: a call with four images of {side} x {side} bytes on the host, until its answer is there",
+        {name: partial(lambda call: call().index.cpu(), call) for name, call in calls.items()},
+    )
+    level, number = config.settings[-1]
+    paper = partial(IcoSweepNet, level, number, feature_channels=config.feature_channels)
+    nets: dict[str, Callable[[], DepthNetwork]] = {
+        "default": pretrained,
+        "level 5": partial(pretrained().with_changes, level=5),
+        "level 7": partial(pretrained().with_changes, level=7),
+        f"IcoSweepNet {level}/{number}": paper,
+    }
+    for batch in BATCHES:
+        for name, make in nets.items():
+            net = make().to(device).eval()
+            inputs, tables = random_images(net.level, device, batch), net.tables(ring)
+            yield Comparison(f"{name}: a forward pass of {batch}", _graphs(net, inputs, tables, device))
+            if name == "default":
+                steps = training_steps(net, inputs, tables, ["bf16"], device)
+                del steps["plain"]  # takes a hundred times as long
+                yield Comparison(f"{name}: a training step of {batch}", steps)
+
+
+def _graphs(net: DepthNetwork, images: Tensor, tables: Any, device: torch.device) -> dict[str, Run]:
+    """A forward pass through existing tables: eager, as a CUDA graph, and in half precision."""
+
+    @torch.inference_mode()
+    def forward(inputs: Tensor, dtype: torch.dtype = torch.float32) -> Tensor:
+        # a cache of casts would outlive the graph that it was filled in
+        with torch.autocast(device.type, dtype, dtype != torch.float32, cache_enabled=False):
+            return net(inputs, tables)
+
+    runs: dict[str, Run] = {"eager": partial(forward, images)}
+    for dtype in (torch.float32, torch.bfloat16, torch.float16):
+        name, run = str(dtype).removeprefix("torch."), partial(forward, dtype=dtype)
+        graphed = GraphedFunction(name, run) if device.type == "cuda" else run
+        graphed(images)  # a CUDA graph is captured at the second call, the warm-up of measuring
+        runs[f"graph, {name}" if device.type == "cuda" else name] = partial(graphed, images)
+    return runs
 
 
 def convolutions(config: DictConfig, device: torch.device) -> Iterator[Comparison]:

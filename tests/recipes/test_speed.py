@@ -7,7 +7,7 @@ import json
 import math
 import subprocess
 import sys
-import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -16,6 +16,7 @@ from hydra import initialize_config_module
 from omegaconf import DictConfig
 
 from sphericalvision.cameras import ring_rig
+from sphericalvision.recipes.speed import measuring
 from sphericalvision.recipes.speed.cameras import cameras
 from sphericalvision.recipes.speed.command import measure_speed
 from sphericalvision.recipes.speed.frames import preset_predictor
@@ -112,13 +113,17 @@ def test_what_functions_report_is_asked_once_and_not_timed() -> None:
     assert row == ["ours", "2 MB", "", "2.00", "", ""]
 
 
-def test_ratio_is_the_first_time_over_ones_own() -> None:
-    runs = {"slow": lambda: time.sleep(0.02), "fast": lambda: time.sleep(0.004)}
-    slow, fast = measure(Comparison("sleep", runs), seconds=0.0)
-    assert slow.ratio == 1
-    assert fast.ratio == pytest.approx(slow.median / fast.median, rel=0.5)
-    assert fast.ratio > 1
-    assert slow.cpu < 0.01  # asleep
+def test_ratio_is_the_first_time_over_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [0.0]
+
+    def run(seconds: float) -> None:
+        clock[0] += seconds
+
+    monkeypatch.setattr(measuring, "timer", lambda: clock[0])
+    slow, fast = measure(Comparison("sleep", {"slow": partial(run, 0.02), "fast": partial(run, 0.004)}))
+    assert (slow.median, slow.ratio, slow.unit) == (pytest.approx(0.02), 1, "s")
+    assert (fast.median, fast.ratio) == (pytest.approx(0.004), pytest.approx(5))
+    assert slow.cpu < 0.01  # the clock moves without work
 
 
 def test_memory_is_the_most_that_is_held_at_once() -> None:

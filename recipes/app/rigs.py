@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 import torch
 from pydantic.dataclasses import dataclass
@@ -23,6 +23,8 @@ from sphericalvision.cameras import (
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.recipes.app.kinds import STRICT, Count, FullAngle, HalfAngle, Positive, Size, Text, Unit
+
+T = TypeVar("T")
 
 
 def make_ring(
@@ -114,24 +116,16 @@ class Calibration:
 
     def rig(self, dtype: torch.dtype | None = None) -> CameraRig:
         """The rig of the file, with intrinsics and poses of a type, by default torch's default."""
-        with keys_named(path="calibration", max_angle="max_angle_deg"):
-            return read_rig(
-                self.calibration,
-                translation_unit=self.translation_unit,
-                max_angle=radians(self.max_angle_deg),
-                image_size=self.image_size,
-                dtype=dtype,
-            )
+        return self._read(read_rig, dtype, translation_unit=self.translation_unit)
 
     def camera_models(self, dtype: torch.dtype | None = None) -> dict[str, Camera]:
         """The cameras of the file by name, poses or not."""
+        return self._read(read_cameras, dtype)
+
+    def _read(self, read: Callable[..., T], dtype: torch.dtype | None, **keys: Any) -> T:
+        keys |= {"max_angle": radians(self.max_angle_deg), "image_size": self.image_size, "dtype": dtype}
         with keys_named(path="calibration", max_angle="max_angle_deg"):
-            return read_cameras(
-                self.calibration,
-                max_angle=radians(self.max_angle_deg),
-                image_size=self.image_size,
-                dtype=dtype,
-            )
+            return read(self.calibration, **keys)
 
     def cameras_and_rig(
         self, dtype: torch.dtype | None = None

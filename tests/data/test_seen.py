@@ -28,6 +28,7 @@ from sphericalvision.data import (
     write_omnistereo,
 )
 from sphericalvision.data.augmentation.sphere_rotation import rotate_on_sphere
+from sphericalvision.data.sample_view import ToView
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere.intake import pixels_seen
 from tests.worlds import scenes
@@ -139,6 +140,17 @@ def test_on_the_sphere_a_pixel_that_a_mask_covers_plays_no_part(masked: CameraRi
     plain = to_sphere.seen(CameraRig(masked.cameras, masked.world_from_camera))
     assert (plain[0] & ~seen[0]).double().mean() > 0.1
     assert torch.equal(plain[1:], seen[1:])
+
+
+def test_a_view_of_another_rig_is_that_rigs(masked: CameraRig) -> None:
+    to_view, images = (
+        ToView(SampleView(LEVEL, images=True)),
+        {name: torch.rand(3, 48, 48) for name in masked.names},
+    )
+    for rig in (masked, CameraRig(masked.cameras, masked.world_from_camera)):
+        entries = to_view.images(images, rig)
+        assert torch.equal(entries["fisheye_seen"], torch.stack([*pixels_seen(rig).values()]))
+        assert torch.equal(entries["seen"], ToSphere(LEVEL).seen(rig))
 
 
 def test_rendered_scenes_say_what_was_seen(masked: CameraRig, tmp_path: Path) -> None:

@@ -45,6 +45,13 @@ def test_a_ball_before_a_far_shell() -> None:
         assert not structure.thin[0][~inside].any()
 
 
+def test_a_plane_as_steep_as_a_step_is_an_edge_and_not_flat() -> None:
+    steep, slow = (depth_structure(slope * ICO.vertices[:, 0]) for slope in (45.0, 4.5))
+    assert steep.edge.float().mean() > 0.9
+    assert not (steep.edge & steep.flat).any()
+    assert slow.flat.all()
+
+
 def test_contrast_of_a_step() -> None:
     image = (ICO.vertices[:, 0] > 0).float().expand(3, -1)
     contrast = local_contrast(image)

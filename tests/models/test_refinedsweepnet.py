@@ -341,17 +341,6 @@ def test_candidates_by_loops(hinted, generator):
     assert bool(took) == hinted
 
 
-def test_an_answer_goes_no_farther_than_to_neighbours():
-    """Not to the other vertices of five neighbours either, whose tables have a place that is empty."""
-    grid, parents = Icosphere(2), icosphere_vertex_parents(3)
-    logits = torch.full((1, 31, grid.num_vertices), -20.0)
-    logits[0, 4, 1:] = logits[0, 20, 0] = 20.0
-    nearest = candidates_of(FusedLogits(logits, torch.zeros(1, 1, grid.num_vertices))).index[0, 1]
-    around = torch.zeros(grid.num_vertices, dtype=torch.bool)
-    around[[0, *(vertex for vertex in grid.neighbors[0].tolist() if vertex >= 0)]] = True
-    assert torch.equal(nearest > 3, around[parents].any(-1))
-
-
 @pytest.mark.parametrize(("weight", "second"), [(0.1, 9.0), (0.01, 3.0)])
 def test_what_is_not_chosen_remains_if_it_is_plausible(weight, second):
     """Else the second answer of the level before does, the last of the candidates."""
@@ -364,28 +353,6 @@ def test_what_is_not_chosen_remains_if_it_is_plausible(weight, second):
     result = refinement(candidates, appearance, torch.zeros(1, 2, 12), 31)
     torch.testing.assert_close(result.index, torch.full((1, 42), 1 + 8 * weight))
     torch.testing.assert_close(result.second, torch.full((1, 42), second))
-
-
-def test_a_vertex_between_two_takes_the_second_answer_of_the_first_one():
-    grid, parents = Icosphere(2), icosphere_vertex_parents(3)
-    logits = torch.full((1, 31, grid.num_vertices), -20.0)
-    logits[0, 30] = 9.0
-    other = torch.arange(grid.num_vertices) % 20
-    logits[0, other, torch.arange(grid.num_vertices)] = (
-        5.0  # far from the best one, and another one everywhere
-    )
-    index = candidates_of(FusedLogits(logits, torch.zeros(1, 1, grid.num_vertices))).index
-    torch.testing.assert_close(index[0, 3], two_modes(logits)[1][0, parents[:, 0]])
-    assert (other[parents[:, 0]] != other[parents[:, 1]]).any()
-
-
-def test_what_is_missing_around_a_vertex_of_five_neighbors_is_not_the_last_vertex():
-    grid = Icosphere(2)
-    logits = torch.full((1, 31, grid.num_vertices), -20.0)
-    logits[0, 8, :-1], logits[0, 30, -1] = 20.0, 20.0  # the south pole alone is near
-    index = candidates_of(FusedLogits(logits, torch.zeros(1, 1, grid.num_vertices))).index
-    north = Icosphere(3).vertices[:, 1] < 0
-    torch.testing.assert_close(index[0, :3, north], torch.full_like(index[0, :3, north], 4.0))
 
 
 def test_gates_change_weights_by_three_powers_of_e_at_most(net):

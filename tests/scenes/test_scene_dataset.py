@@ -52,8 +52,8 @@ def test_ground_truth_is_exact_ray_depth_from_the_centre_of_the_rig() -> None:
     poses = rig.world_from_camera.clone()
     poses[:, :3, 3] += torch.tensor([1.0, 2.0, 3.0])
     away = CameraRig(rig.cameras, poses)
-    sample = scenes(away, 1, 3, SampleView(4, 2))[0]
-    depth = ray_depth(make_scene("room", 3), torch.zeros(3), Icosphere(2).vertices)
+    sample = scenes(away, 1, 3, SampleView(4, 2), min_depth=1.1)[0]
+    depth = 2 * ray_depth(make_scene("room", 3), torch.zeros(3), Icosphere(2).vertices)
     torch.testing.assert_close(sample["inverse_depth"], 1 / depth, rtol=1e-3, atol=1e-4)
 
 

@@ -83,11 +83,6 @@ def test_a_vertex_with_five_neighbours_looks_at_these_alone() -> None:
         assert torch.equal(one[..., five + 1], other[..., five + 1])
 
 
-def test_has_nothing_to_say_without_correlation() -> None:
-    index = torch.full((1, 162), 7.0)
-    assert not sweep_confidence(one_valley(index, 1.0), torch.zeros(1, 162), index, 1).any()
-
-
 @pytest.mark.slow
 def test_is_the_share_of_small_errors_on_scenes_it_was_not_fitted_to() -> None:
     rig = ring_rig(4, 0.2, (192, 192))

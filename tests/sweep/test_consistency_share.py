@@ -42,6 +42,8 @@ def test_tables_stand_for_the_rig_and_levels_may_differ() -> None:
     alone = photo_consistency_share(index[:, :642], images, RIG, NUM_HYPOTHESES, MIN_DEPTH)
     kept = photo_consistency_share(index, images, tables, NUM_HYPOTHESES, MIN_DEPTH)
     torch.testing.assert_close(alone, kept)
+    coarse = photo_consistency_share(index[:, :162], images, RIG, NUM_HYPOTHESES, MIN_DEPTH)
+    torch.testing.assert_close(coarse, alone, atol=0.03, rtol=0)
 
 
 def test_a_share_is_reached_over_most_where_two_cameras_see() -> None:

@@ -107,25 +107,6 @@ def test_local_appearance_by_loops(generator: torch.Generator) -> None:
         torch.testing.assert_close(found[sample, :, vertex], expected)
 
 
-def test_local_appearance_leaves_out_what_is_not_seen(generator: torch.Generator) -> None:
-    images = torch.randn(1, 3, 642, generator=generator)
-    seen = Icosphere(3).vertices[:, 0] < 0.3
-    there = local_appearance(images, seen[None])
-    again = local_appearance(images.where(seen, 9.0), seen[None])
-    assert again[..., seen].equal(there[..., seen])
-
-
-def test_local_appearance_gradient_points_uphill() -> None:
-    vertices = Icosphere(4).vertices
-    up = torch.tensor([0.0, -1.0, 0.0])
-    images = (vertices @ up).expand(1, 3, -1)  # brighter upwards
-    gradient = local_appearance(images)[0, 1:4].T
-    tangent = up - (vertices @ up)[:, None] * vertices
-    away_from_poles = tangent.norm(dim=-1) > 0.2
-    cosine = torch.nn.functional.cosine_similarity(gradient, tangent, dim=-1)
-    assert cosine[away_from_poles].min() > 0.95
-
-
 def test_winner_takes_all_leaves_out_infinite_costs() -> None:
     cost = torch.tensor([[[torch.inf, torch.inf], [2.0, torch.inf], [1.0, torch.inf]]])
     assert winner_takes_all(cost, subhypothesis=True).tolist() == [[2.0, 0.0]]

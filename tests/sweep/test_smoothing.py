@@ -109,6 +109,12 @@ def test_turning_by_a_fifth_turns_the_result(generator: torch.Generator) -> None
     torch.testing.assert_close(turned, smooth[..., moved])
 
 
+def test_paths_to_and_fro_along_a_line_begin_at_the_same_vertices() -> None:
+    paths = smoothing_paths(3, 0.5, torch.device("cpu"))
+    forwards, backwards = (set(ids.tolist()) for ids in paths.ids[paths.first, paths.kinds[0]].chunk(2))
+    assert forwards == backwards
+
+
 def test_a_bare_region_takes_the_depth_around_it() -> None:
     ico = Icosphere(4)
     cost = torch.ones(1, 9, ico.num_vertices)

@@ -14,6 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 
 import sphericalvision.conf
 from sphericalvision.data import collate_samples, write_omnistereo
+from sphericalvision.recipes.app.checkpoints import initialize
 from sphericalvision.recipes.app.checks import check_node, hints_of
 from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.app.rigs import make_ring
@@ -81,6 +82,7 @@ def test_adapting_takes_a_capture_and_the_shipped_weights() -> None:
     assert (config.data.images, config.init_weights) == ("c/{camera}/{frame}.png", "refinedsweepnet")
     assert config.callbacks.best.monitor == config.task.monitor == "val/photo-consistency"
     assert config.callbacks.best.mode == "max"
+    initialize(build(config.model), config.init_weights)
     for group in ("data", "task", "model", "optimizer"):
         check_node(config[group], group, ("net", "loss", "optimizer", "scheduler"))
 

@@ -174,6 +174,7 @@ def test_a_stamp_that_was_not_set_is_no_time(tmp_path: Path) -> None:
             "received",
         ),  # devices that count from when they were switched on
         ((0, 18 * 10**12), (0, 0), "received"),  # another time zone
+        ((0, 2 * 10**9), (0, 0), "received"),  # stamps of what is to come
         ((0, 0), (0, 3 * 10**9), "stamps"),  # a slow way
         ((10**9 - TIME, 10**9 - TIME), (10**7, 2 * 10**7), "stamps"),
     ],

@@ -581,6 +581,8 @@ def test_a_hint_on_a_coarser_level_is_that_of_the_vertex_or_of_those_around_it(u
         torch.tensor([0.2, 0.6]),
         torch.tensor([1.0, 2.0]),
     )
+    beside = icosphere_neighbors(2)[ids[3], 0]
+    hint.weight[0, beside], hint.inverse_depth[0, beside] = 0.75, 5.0  # what a vertex has of its own stays
     coarser = hint.coarser()
     assert (coarser.weight[0, 3], coarser.inverse_depth[0, 3]) == (0.25, 2.0)
     torch.testing.assert_close(coarser.inverse_depth[0, 20], torch.tensor(1.75))

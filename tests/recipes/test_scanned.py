@@ -95,6 +95,7 @@ def test_every_layout_gives_the_truth_that_was_rendered(tmp_path: Path) -> None:
     )
     assert len(learned.points(learned.names[0])) > len(judged.points(judged.names[0]))
     assert OmniPusDataset(omnipus.root, "train").names == ["omnipusa/omnipusA_case2/000000"]
+    assert deep360.names == ["ep1_500frames/testing/002505"]
     assert "1 of 2 frames were left out" in spires.left_out[0]
     assert "the first, 002_010_000, lacks 002_010_000/195FOV/65mm/DOWN/fisheye.png" in widedepth.left_out[0]
 

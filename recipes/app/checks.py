@@ -229,10 +229,8 @@ def check_node(config: Any, where: str, passed: Sequence[str] = ()) -> None:
 
 def _source(config: Any, key: Any) -> str | None:
     """Return the key that a value is taken from: ``rig`` for ``rig: ${rig}``."""
-    if not isinstance(config, DictConfig) or not OmegaConf.is_interpolation(config, key):
-        return None
-    node: Any = config._get_node(key)
-    match = re.fullmatch(r"\$\{([\w.]+)\}", str(node._value()))
+    written: Any = OmegaConf.to_container(config) if OmegaConf.is_config(config) else {}
+    match = re.fullmatch(r"\$\{([\w.]+)\}", str(written.get(key)))
     return match[1] if match else None
 
 

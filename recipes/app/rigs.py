@@ -123,9 +123,9 @@ class Calibration:
         return self._read(read_cameras, dtype)
 
     def _read(self, read: Callable[..., T], dtype: torch.dtype | None, **keys: Any) -> T:
-        keys |= {"max_angle": radians(self.max_angle_deg), "image_size": self.image_size, "dtype": dtype}
+        angle = None if self.max_angle_deg is None else math.radians(self.max_angle_deg)
         with keys_named(path="calibration", max_angle="max_angle_deg"):
-            return read(self.calibration, **keys)
+            return read(self.calibration, max_angle=angle, image_size=self.image_size, dtype=dtype, **keys)
 
     def cameras_and_rig(
         self, dtype: torch.dtype | None = None
@@ -191,13 +191,3 @@ def names_of(cameras: Sequence[str | int], rig: CameraRig) -> list[str]:
     if unknown := [name for name in names if name not in rig.cameras]:
         raise ArgumentError(f"cameras: expected names among {', '.join(rig.names)}, got {unknown[0]}")
     return names
-
-
-def radians(degrees: float | None) -> float | None:
-    """Degrees of a config in radians; ``None`` stays.
-
-    Examples:
-        >>> radians(180.0)
-        3.141592653589793
-    """
-    return None if degrees is None else math.radians(degrees)

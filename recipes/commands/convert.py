@@ -31,7 +31,7 @@ from sphericalvision.geometry import invert_transform
 from sphericalvision.geometry.transforms import axis_angle_from_transform
 from sphericalvision.recipes.app.cli import console, print_table
 from sphericalvision.recipes.app.kinds import STRICT, Count, HalfAngle, OnlyWith, Text
-from sphericalvision.recipes.app.rigs import Calibration, keys_named, radians
+from sphericalvision.recipes.app.rigs import Calibration, keys_named
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -165,12 +165,13 @@ def _tell_turns(turns: dict[str, float], what: str) -> None:
 def _converted(name: str, camera: Camera, config: ConvertConfig) -> Conversion:
     if config.to is None:
         return Conversion(camera, 0.0, 0.0, float(camera.max_angle))
+    angle = None if config.fit_angle_deg is None else math.radians(config.fit_angle_deg)
     try:
         with keys_named(max_angle="fit_angle_deg"):
             return convert_camera(
                 camera,
                 to=config.to,
-                max_angle=radians(config.fit_angle_deg),
+                max_angle=angle,
                 num_coefficients=config.num_coefficients,
                 projection=config.projection,
             )

@@ -80,9 +80,13 @@ def _process(variables: dict[str, str], program: str, *words: int) -> Iterator[s
         for name, value in os.environ.items()
         if not name.startswith("OMP_") and name not in WAITING
     }
-    command = [sys.executable, "-c", program, *map(str, words)]
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    with subprocess.Popen(command, env=environment | variables, text=True, **pipes) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", program, *map(str, words)],
+        env=environment | variables,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
         try:
             yield process
         finally:

@@ -109,9 +109,9 @@ class RigTurns(NamedTuple):
 def align_rig(predictor: Predictor, frames: Iterable[Mapping[str, Any]]) -> RigTurns:
     """Return whether cameras are turned from what the calibration says, by images at the depth estimated with it.
 
-    Calibrations are seldom right for long: orientations wrong by a degree double the error of depth. They are found to
-    about a tenth of a degree, from one frame or a few, in a second or two for each. Positions and intrinsics are not
-    touched.
+    Calibrations are seldom right for long: orientations wrong by a degree more than double the error of depth. They are
+    found to about a tenth of a degree, from one frame or a few, in a second or two for each. Positions and intrinsics
+    are not touched.
 
     A camera counts as turned if its turn exceeds its uncertainty clearly. Whether images agree better in a quick sweep
     does not decide, as that hardly sees small turns; but cameras stay where it says that turning them does harm.

@@ -162,6 +162,9 @@ class SampleDataModule:
     has_truth: ClassVar[bool] = True
     """True if validation and test samples hold the true depth, so that ``sphericalvision-evaluate`` can use them."""
 
+    def __post_init__(self) -> None:
+        """Prepare what is no field; subclasses with an ``__init__`` of their own have it called by the base's."""
+
     def dataset(self, split: str) -> Dataset[Sample]:
         """Samples of "train", "val" or "test", on the icosphere; augmented in "train". Every subclass implements it."""
         raise NotImplementedError(f"{type(self).__name__}.dataset")

@@ -15,6 +15,7 @@ import yaml
 import sphericalvision.conf
 from sphericalvision.cameras import ring_rig
 from sphericalvision.recipes.app.cli import build
+from sphericalvision.recipes.datamodules.depth_data_module import DepthDataModule
 from sphericalvision.recipes.training.loaders import Loaders
 from tests.documented import write_data_sets
 from tests.recipes.scanned_sets import SCENES, SEQUENCE, SITE, write_own
@@ -88,6 +89,7 @@ def test_processes_that_prepare_samples_are_handed_no_trainer(
     words = [] if kind != "refinedsweepnet/fusion" else [f"data={name}"]
     config = composed("train", f"experiment={kind}", *words, *WORDS.get(name, ()))
     data = build(config.data)
+    assert not isinstance(data, DepthDataModule) or data.view.level == 5  # before a network is known
     data.bind_network(build(config.model))
     loaders = Loaders(data)
     loaders.trainer = Trainer()  # type: ignore[assignment]

@@ -76,8 +76,8 @@ class HexUNet(nn.Module):
         self.coarsen = nn.ModuleList(
             _keeping_size(HexConv2d(fine, coarse, 2, bias=True)) for fine, coarse in steps
         )
-        # What the coarser levels say at random would be noise: the first steps of a training would take it away by
-        # values that are negative everywhere, and most of these levels would never learn again.
+        # What the coarser levels say at random would be noise, and the first steps of a training would make it smaller.
+        # From zero, values of these levels stay larger; a high learning rate silences them all the same.
         self.refine = nn.ModuleList(_at_zero(nn.Conv1d(coarse, fine, 1)) for fine, coarse in steps)
         self.up = nn.ModuleList(_blocks(*level) for level in zip(widths[:-1], counts, strict=False))
 

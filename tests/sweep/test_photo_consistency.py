@@ -36,16 +36,6 @@ def test_finds_the_radius_of_a_textured_sphere(index: int, aggregation: int) -> 
     assert 0 <= noise.confidence.median() < 0.6 < confidence.median() <= 1
 
 
-def test_between_two_hypotheses_the_parabola_is_closer() -> None:
-    rig = ring_rig(4)
-    images = sphere_at(4.4, rig, level=5)
-    whole, fraction = (
-        photo_consistency(images, rig, NUM_HYPOTHESES, MIN_DEPTH, subhypothesis=refine).index
-        for refine in (False, True)
-    )
-    assert (fraction - 4.4).abs().median() < (whole - 4.4).abs().median()
-
-
 def test_exposure_changes_little() -> None:
     rig = ring_rig(4)
     images = sphere_at(4.0, rig, level=5)

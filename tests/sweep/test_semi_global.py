@@ -70,14 +70,6 @@ def test_noise_harms_less_than_it_harms_the_smallest_cost_alone() -> None:
     assert (smooth - 4).abs().mean() < 0.5 * (simple - 4).abs().mean()
 
 
-def test_exposures_do_not_matter() -> None:
-    rig = ring_rig(4)
-    gains = torch.tensor([1.0, 0.5, 0.8, 0.4])[:, None, None]
-    offsets = torch.tensor([0.0, 0.3, -0.2, 0.1])[:, None, None]
-    images = sphere_at(4.0, rig) * gains + offsets
-    assert (semi_global_sweep(images, rig, NUM_HYPOTHESES, MIN_DEPTH).index.round() == 4).all()
-
-
 def test_a_camera_that_sees_something_else_does_no_harm() -> None:
     rig = ring_rig(3, radius=0.1, field_of_view=2 * math.pi)  # all three see everything
     images = sphere_at(5.0, rig)
@@ -139,13 +131,6 @@ def test_gain_and_offset_of_each_camera_leave_the_costs(generator: torch.Generat
         for pictures in (images, images * gains + offsets)
     )
     torch.testing.assert_close(again, there)
-
-
-def test_gray_images_are_enough() -> None:
-    rig = ring_rig(4)
-    gray = sphere_at(4.0, rig).mean(2, keepdim=True).expand(-1, -1, 3, -1)
-    found = semi_global_sweep(gray, rig, NUM_HYPOTHESES, MIN_DEPTH).index
-    assert ((found - 4).abs() < 0.5).float().mean() > 0.98
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.003])

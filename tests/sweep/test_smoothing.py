@@ -136,12 +136,3 @@ def test_an_edge_of_the_guide_makes_jumps_cheap() -> None:
         for colors in (None, guide)
     ]
     assert wrong[1] < 0.5 * wrong[0]
-
-
-def test_channels_of_a_guide_count_by_their_mean(generator: torch.Generator) -> None:
-    cost, guide = torch.rand(1, 8, 162, generator=generator), torch.rand(1, 1, 162, generator=generator)
-    one, three = (
-        semi_global_smoothing(cost, 0.05, 0.6, guide.expand(-1, count, -1), contrast=0.2) for count in (1, 3)
-    )
-    torch.testing.assert_close(three, one)
-    assert not torch.allclose(one, semi_global_smoothing(cost, 0.05, 0.6))

@@ -14,7 +14,7 @@ from functools import partial
 import torch
 from omegaconf import DictConfig
 
-from sphericalvision.recipes.speed.measuring import Comparison
+from sphericalvision.recipes.speed.measuring import Comparison, Seconds
 from sphericalvision.threads import WAITING, available_cores
 
 FRAMES = """
@@ -32,11 +32,11 @@ images = torch.nn.functional.interpolate(torch.rand(4, 3, 50, 50), (side, side),
 rig = ring_rig(4, image_size=(side, side))
 predictor, images = Predictor(rig, min_depth=0.55), dict(zip(rig.names, images))
 for line in sys.stdin:
-    start = time.perf_counter()
+    wall, cpu = time.perf_counter(), time.process_time()
     predictor(images)
-    print(1000 * (time.perf_counter() - start), flush=True)
+    print(time.perf_counter() - wall, time.process_time() - cpu, flush=True)
 """
-"""A program that computes a frame for each line that it reads, and prints the milliseconds that it took."""
+"""A program that computes a frame for each line that it reads, and prints its seconds on the clock and of the CPU."""
 
 WAYS = {
     "one thread": ({"OMP_NUM_THREADS": "1"}, False),
@@ -93,13 +93,13 @@ def _process(variables: dict[str, str], program: str, *words: int) -> Iterator[s
             process.kill()
 
 
-def _frame(process: subprocess.Popen[str]) -> float:
-    """Let another process compute a frame; returns its milliseconds."""
+def _frame(process: subprocess.Popen[str]) -> Seconds:
+    """Let another process compute a frame, and time itself."""
     assert process.stdin is not None
     assert process.stdout is not None
     process.stdin.write("\n")
     process.stdin.flush()
-    return float(process.stdout.readline())
+    return Seconds(*map(float, process.stdout.readline().split()))
 
 
 def _first_frame(start: Callable[[], AbstractContextManager[subprocess.Popen[str]]]) -> float:
@@ -107,5 +107,5 @@ def _first_frame(start: Callable[[], AbstractContextManager[subprocess.Popen[str
     times = []
     for _ in range(FIRST_CALLS):
         with start() as process:
-            times.append(_frame(process))
+            times.append(1000 * _frame(process).wall)
     return statistics.median(times)

@@ -24,6 +24,7 @@ from sphericalvision.recipes.speed.measuring import (
     OURS,
     Comparison,
     Measurement,
+    Seconds,
     comparison_table,
     measure,
 )
@@ -124,6 +125,12 @@ def test_ratio_is_the_first_time_over_ones_own(monkeypatch: pytest.MonkeyPatch) 
     assert (slow.median, slow.ratio, slow.unit) == (pytest.approx(0.02), 1, "s")
     assert (fast.median, fast.ratio) == (pytest.approx(0.004), pytest.approx(5))
     assert slow.cpu < 0.01  # the clock moves without work
+
+
+def test_what_other_processes_timed_themselves_counts() -> None:
+    runs = {"one": lambda: Seconds(2.0, 3.0), "other": lambda: Seconds(0.5, 1.0)}
+    rows = measure(Comparison("frames", runs))
+    assert [(row.median, row.ratio, row.cpu, row.unit) for row in rows] == [(2, 1, 3, "s"), (0.5, 4, 1, "s")]
 
 
 def test_memory_is_the_most_that_is_held_at_once() -> None:

@@ -61,7 +61,8 @@ def resample(
         (torch.Size([1, 8, 16]), True)
     """
     check_values(values, grid_shape(source, "source"))
-    result: Tensor = resample_tables(source, target, rotation, mode, fill, mask, values.device)(values)
+    tables = resample_tables(source, target, rotation, mode, fill, mask, values.device, values.dtype)
+    result: Tensor = tables(values)
     return result
 
 
@@ -131,7 +132,7 @@ class Resample(LookupModule):
         device = _like(source).device if device is None else torch.device(device)
         if dtype is None:
             dtype = torch.promote_types(_like(source).dtype, _like(target).dtype)
-        self.tables = resample_tables(source, target, rotation, mode, fill, mask, device).to(dtype)
+        self.tables = resample_tables(source, target, rotation, mode, fill, mask, device, dtype).to(dtype)
 
     def forward(
         self, values: Shaped[Tensor, "*values"], mask: Shaped[Tensor, "*mask"] | None = None

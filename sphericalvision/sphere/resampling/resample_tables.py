@@ -41,8 +41,13 @@ def resample_tables(
     fill: float,
     mask: Shaped[Tensor, " ..."] | None,
     device: torch.device,
+    dtype: torch.dtype = torch.float64,
 ) -> MaskedLookup:
-    """Tables of one pair of grids or cameras, with gradients by rotation and intrinsics where these have them."""
+    """Tables of one pair of grids or cameras, with gradients by rotation and intrinsics where these have them.
+
+    They are computed in ``dtype``, that of the values, where every direction is seen; else in double precision, so that
+    values, masks and modules agree about what lies on a border.
+    """
     check_choice("mode", mode, RESAMPLE_MODES)
     source_shape, target_shape = grid_shape(source, "source"), grid_shape(target, "target")
     check_type("fill", fill, (int, float))
@@ -52,8 +57,10 @@ def resample_tables(
         check_tensor("mask", mask, f"(*b, {', '.join(map(str, source_shape))})")
     if device.type == "meta":
         return _shapes_only(source_shape, target_shape, rotation, mode, fill)
-    # In double precision, so that values, masks and modules agree about what lies on a border.
-    dtype = torch.float32 if device.type == "mps" else torch.float64
+    bordered = mask is not None or not (_is_whole(source) and _is_whole(target))
+    if bordered or mode != "bilinear" or not dtype.is_floating_point:
+        dtype = torch.float64
+    dtype = torch.float32 if device.type == "mps" else torch.promote_types(dtype, torch.float32)
     usable = None if mask is None else mask.to(device)
     dims = len(source_shape)
     if rotation is None and _same(source, target):  # each value is its own, also where patches overlap
@@ -145,9 +152,9 @@ def _seen_by(source: SphereGrid | Camera, directions: Tensor) -> Tensor | None:
     """Where a source has values (*), of directions (*, 3); None for everywhere."""
     if isinstance(source, Camera):
         return source.project(directions).valid
-    if not hasattr(source, "contains"):
+    if _is_whole(source):
         return None
-    inside: Tensor = source.contains(directions)
+    inside: Tensor = source.contains(directions)  # type: ignore[attr-defined]
     return None if bool(inside.all()) else inside
 
 
@@ -169,6 +176,12 @@ def _image_size(source: SphereGrid | Camera) -> tuple[int, int] | None:
     if isinstance(source, Camera):
         return source.image_size
     return source.shape if isinstance(source, Equirectangular) else None
+
+
+def _is_whole(grid: SphereGrid | Camera) -> bool:
+    """Whether a grid has no borders."""
+    covers: bool = getattr(grid, "whole_sphere", not hasattr(grid, "contains"))
+    return covers and not isinstance(grid, Camera)
 
 
 def _same(source: SphereGrid | Camera, target: SphereGrid | Camera) -> bool:

@@ -15,7 +15,7 @@ from sphericalvision.cameras import Camera, EquirectangularCamera
 from sphericalvision.cameras.remapping.area import pixel_samples
 from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere, icosphere_neighbors, icosphere_vertices
-from sphericalvision.sphere.grids.sphere_grid import SphereGrid
+from sphericalvision.sphere.grids.sphere_grid import GridModule, SphereGrid
 
 
 class CellSamples(NamedTuple):
@@ -38,7 +38,8 @@ def grid_shape(grid: SphereGrid | Camera, name: str) -> tuple[int, ...]:
                 "take one with Camera.select"
             )
         return grid.image_size
-    if not isinstance(grid, SphereGrid):
+    # The protocol's check reads each property of a grid, solid angles among them.
+    if not isinstance(grid, GridModule | Icosphere | SphereGrid):
         raise ArgumentError(
             f"{name}: expected a SphereGrid (Icosphere, Equirectangular, Cubemap, Healpix, TangentImages) or a Camera, "
             f"got {type(grid).__name__}"
@@ -55,7 +56,7 @@ def cell_samples(
 ) -> CellSamples:
     """``samples`` directions along each side of every cell; for one, the grid's own directions.
 
-    Computed in the precision asked for, not in that of ``grid.directions``.
+    Computed in the precision asked for; the grid's own directions are not computed again if they have it.
 
     Args:
         grid: grid or camera.
@@ -75,7 +76,8 @@ def cell_samples(
     if isinstance(grid, Icosphere):
         directions, weights = _vertex_samples(grid.level, max(sides), dtype, device, cells)
         return CellSamples(directions, weights, None)
-    if hasattr(grid, "cell_samples"):
+    made = sides == (1, 1) and dtype == grid.directions.dtype
+    if hasattr(grid, "cell_samples") and not made:
         directions, weights = grid.cell_samples(max(sides), dtype, device)
     elif max(sides) > 1:
         raise ArgumentError(

@@ -3,17 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping
+import time
+from collections.abc import Container, Iterable, Iterator, Mapping, Sized
 from dataclasses import is_dataclass
+from datetime import timedelta
 from importlib.metadata import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import hydra
 import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from omegaconf import OmegaConf
+from rich import progress
 from rich.console import Console
 from rich.table import Table
 
@@ -22,6 +25,11 @@ from sphericalvision.io.files import write_bytes
 from sphericalvision.io.yaml_files import read_yaml
 from sphericalvision.recipes.app.checks import check_node, flat
 from sphericalvision.recipes.app.words import unquote_paths
+
+T = TypeVar("T")
+
+PROGRESS = 15.0
+"""Seconds between lines of progress where no terminal can draw a bar: in log files and job queues."""
 
 
 class _Console(Console):
@@ -127,6 +135,29 @@ def changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
 def say(text: str, style: str | None = None) -> None:
     """Print a line without highlighting or wrapping."""
     console.print(text, style=style, highlight=False, soft_wrap=True)
+
+
+def track(items: Iterable[T], title: str, total: int | None = None, disable: bool = False) -> Iterator[T]:
+    """Yield items and show how far they are: a bar on a terminal, elsewhere a line every ``PROGRESS`` seconds.
+
+    Args:
+        items: of which there are ``total``, or as many as they have for a length.
+        title: of what is done with them.
+        total: their number.
+        disable: shows nothing.
+    """
+    number = len(items) if total is None and isinstance(items, Sized) else total
+    if console.is_terminal or disable or number is None:
+        yield from progress.track(items, title, number, console=console, disable=disable)
+        return
+    began = shown = time.monotonic()
+    for done, item in enumerate(items):
+        now = time.monotonic()
+        if done and now - shown >= PROGRESS:
+            shown = now
+            remaining = timedelta(seconds=int((now - began) / done * (number - done)))
+            print(f"{title}: {done} of {number}, {remaining} left", flush=True)
+        yield item
 
 
 def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:

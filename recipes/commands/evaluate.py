@@ -12,7 +12,6 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from pydantic import with_config
-from rich.progress import track
 from torch import Tensor
 from torch.utils.data import Subset
 from typing_extensions import TypedDict
@@ -25,7 +24,7 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork
 from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.recipes.app.captures import with_own_body_masked
-from sphericalvision.recipes.app.cli import build, choose_device, print_config
+from sphericalvision.recipes.app.cli import build, choose_device, print_config, track
 from sphericalvision.recipes.app.kinds import STRICT, Device, Fraction, Number, OnlyWith, Positive, Text
 from sphericalvision.recipes.datamodules.data_module import SampleDataModule
 from sphericalvision.recipes.datamodules.depth_data_module import DepthDataModule

@@ -12,7 +12,6 @@ from typing import Annotated, Any, Literal
 
 from annotated_types import MinLen
 from pydantic.dataclasses import dataclass
-from rich.progress import track
 from torch.utils.data import DataLoader
 
 from sphericalvision.cameras import CameraRig, EquirectangularCamera
@@ -23,7 +22,14 @@ from sphericalvision.data.omnistereo.ground_truth import read_ground_truth
 from sphericalvision.data.omnistereo.releases import RELEASES, Release
 from sphericalvision.io.images import read_image
 from sphericalvision.io.yaml_files import write_yaml
-from sphericalvision.recipes.app.cli import build, check_settings, console, print_config, read_settings
+from sphericalvision.recipes.app.cli import (
+    build,
+    check_settings,
+    console,
+    print_config,
+    read_settings,
+    track,
+)
 from sphericalvision.recipes.app.kinds import STRICT, Count, Number, OnlyWith, Positive, Text
 from sphericalvision.scenes.meshes import MeshFiles, mesh_files
 from sphericalvision.scenes.samples import recorded_sample
@@ -86,7 +92,7 @@ def render(config: RenderConfig) -> int:
     loader: DataLoader[Any] = DataLoader(missing, None, num_workers=config.num_workers, collate_fn=make)  # type: ignore[arg-type]
     if missing:
         write_yaml(folder / RECORD, settings)
-        rendered = track(loader, "rendering", total=len(missing), console=console)
+        rendered = track(loader, "rendering", total=len(missing))
         write_omnistereo(folder, rendered, rig, release, config.min_depth)
     print(f"{len(missing)} frames written, {len(frames)} in {folder}")
     print(
@@ -130,7 +136,7 @@ def missing_frames(root: Path, frames: range, release: str, num_cameras: int) ->
         images = [root / f"cam{number + 1}" / f"{frame:05d}.png" for number in range(num_cameras)]
         return [*images, root / layout.ground_truth_folder / f"{frame:05d}{layout.suffix}"]
 
-    reading = track(frames, "reading existing frames", console=console, disable=not root.is_dir())
+    reading = track(frames, "reading existing frames", disable=not root.is_dir())
     return [frame for frame in reading if not _can_be_read(files_of(frame), layout)]
 
 

@@ -10,7 +10,6 @@ from typing import Annotated, Any, Literal, NamedTuple
 import torch
 import torch.nn.functional as F
 from annotated_types import Ge
-from rich.progress import track
 from torch import Tensor
 from torch.utils.data import Dataset
 
@@ -32,7 +31,7 @@ from sphericalvision.recipes.app.captures import (
     recorded_photographs,
     with_own_body_masked,
 )
-from sphericalvision.recipes.app.cli import console
+from sphericalvision.recipes.app.cli import track
 from sphericalvision.recipes.app.kinds import Count, Fraction, Number, Positive
 from sphericalvision.recipes.datamodules.data_module import PreparedSamples, Sample
 from sphericalvision.scenes import World, WorldSamples
@@ -152,14 +151,14 @@ class CaptureDataModule(CaptureFields, PreparedSamples):
             )
         rig = _with_rows(self.source.rig, MAX_ROWS)
         reading = recorded_photographs(self.source, self.names)
-        frames = track(reading, "reading frames", total=len(self.names), console=console)
+        frames = track(reading, "reading frames", total=len(self.names))
         photographs = {name: _encoded(images, rig) for name, images in frames}
         if self.capture.masks == AUTO:
             rig = with_own_body_masked(rig, map(_floats, photographs.values()))
         self.near = self._nearest(rig, photographs)
         self.rig = rig.scaled(self.net.min_depth / self.near)
         labeller = PseudoLabeller(self.net, self.rig)
-        for name in track(self.names, "asking network and sweep", console=console):
+        for name in track(self.names, "asking network and sweep"):
             images = _encoded(self.preparation.images(self.rig, _floats(photographs[name])), self.rig)
             self.labelled[name] = LabelledFrame(name, images, labeller(_floats(images)))
         differences = [

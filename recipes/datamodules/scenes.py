@@ -11,13 +11,13 @@ from typing import Annotated, ClassVar, Literal
 
 import torch
 from annotated_types import Len
-from rich.progress import track
 from torch.utils.data import DataLoader, Dataset, Subset
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import PhotometricAugmentation, RotateFivefold
 from sphericalvision.data.augmentation.transforms import Compose
+from sphericalvision.recipes.app.cli import track
 from sphericalvision.recipes.app.kinds import Count, Number, Positive, Size, Text
 from sphericalvision.recipes.datamodules.data_module import Sample
 from sphericalvision.recipes.datamodules.depth_data_module import DepthDataModule, Entries

@@ -10,11 +10,11 @@ from types import MappingProxyType
 from typing import Any, Literal, Protocol
 
 import torch
-from rich.progress import track
 from torch import Tensor
 
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.metrics import depth_error, depth_index_error
+from sphericalvision.recipes.app.cli import track
 from sphericalvision.recipes.evaluation.methods import Answer, Batch, Method, Scale
 from sphericalvision.recipes.evaluation.records import Errors, Record
 from sphericalvision.sweep import depth_from_index, index_from_inverse_depth

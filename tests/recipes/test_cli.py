@@ -9,7 +9,8 @@ import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from sphericalvision.recipes import predict
-from sphericalvision.recipes.app.cli import print_table, say
+from sphericalvision.recipes.app import cli
+from sphericalvision.recipes.app.cli import print_table, say, track
 from sphericalvision.recipes.app.words import quote_paths, unquote_paths
 
 
@@ -36,6 +37,16 @@ def test_file_names_are_printed_unchanged(path: str, capsys: pytest.CaptureFixtu
     assert f"  images={path}\n" in capsys.readouterr().out
     print_table("pictures", ["picture"], [[path]])
     assert f" {path} " in capsys.readouterr().out
+
+
+def test_a_log_file_gets_lines_of_progress(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = iter([0.0, *(10.0 * k for k in range(6))])  # an item takes 10 seconds
+    monkeypatch.setattr(cli.time, "monotonic", lambda: next(clock))
+    assert list(track(iter("abcdef"), "letters", 6)) == list("abcdef")
+    lines = capsys.readouterr().out.splitlines()
+    assert lines == ["letters: 2 of 6, 0:00:40 left", "letters: 4 of 6, 0:00:20 left"]
 
 
 def test_words_that_are_no_file_names_stay() -> None:

@@ -237,7 +237,7 @@ def _first(names: Sequence[str]) -> str:
 def _shortest_turn(upwards: Tensor) -> Tensor:
     """The rotation ``(3, 3)`` by the smallest angle that takes a unit vector to (0, -1, 0)."""
     cosine = -upwards[1]
-    if cosine < -1 + 1e-9:  # half a turn, about x
+    if cosine < -1 + max(1e-9, 4 * torch.finfo(upwards.dtype).eps):  # half a turn, about x
         return torch.diag(upwards.new_tensor([1.0, -1.0, -1.0]))
     x, _, z = upwards
     zero = torch.zeros_like(x)

@@ -19,7 +19,7 @@ from sphericalvision.capture.sources.opening import open_source, rig_with_masks
 from sphericalvision.capture.sources.patterns import find_files, find_labels
 from sphericalvision.core import ArgumentError, MissingFileError
 from sphericalvision.io.images import write_image
-from sphericalvision.recipes.app.captures import Capture
+from sphericalvision.recipes.app.captures import Capture, PosedCapture
 from sphericalvision.recipes.app.rigs import make_ring
 from tests.recipes.tiny import Run
 
@@ -139,6 +139,47 @@ def test_what_is_wrong_with_the_layout_of_a_folder_is_told(tmp_path: Path) -> No
         rig_with_masks(rig, f"{tmp_path}/mask.png")
     with pytest.raises(ArgumentError, match=r"cameras: .* of its own"):
         open_source(f"{tmp_path}/numbers/{{camera}}/{{frame}}.png", rig, labels={"cam1": "cam2"})
+
+
+@pytest.mark.parametrize(
+    ("keys", "upwards", "forward", "down", "place"),
+    [
+        ({}, "-y", None, None, [1, 2, 3]),
+        ({"up": "floor"}, "-y", None, None, [1, 2, 3]),
+        ({"up": "y"}, "y", None, None, [1, -2, -3]),
+        ({"poses": "p"}, "-y", None, None, [1, 2, 3]),
+        ({"frame": "pose.txt"}, "z", [1, 0, 0], [0, 0, -1], [-7, -9, 5]),
+        ({"frame": "pose.txt", "poses": "p"}, "z", [0, 1, 0], [0, 0, -1], [5, 7, 9]),
+        ({"frame": "pose.txt", "poses": "p", "up": "y"}, "y", [0, 0, -1], [0, -1, 0], [5, 7, 9]),
+        ({"frame": "pose.txt", "up": "y"}, None, None, None, None),
+        ({"poses": "p", "up": "floor"}, None, None, None, None),
+    ],
+    ids=str,
+)
+def test_what_is_up_in_a_robots_frame(
+    keys: dict[str, Any],
+    upwards: str | None,
+    forward: list[int] | None,
+    down: list[int] | None,
+    place: list[int] | None,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A robot has x forward, y left, z up; its world is turned by the least angle alone."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "pose.txt").write_text("1 0 0 4\n0 1 0 5\n0 0 1 6\n")
+    capture = PosedCapture(calibration="c", images="x", **keys)
+    if upwards is None:
+        with pytest.raises(ArgumentError, match="up: "):
+            _ = capture.upwards
+        return
+    assert capture.upwards == upwards
+    axes = capture.axes
+    assert (axes is None) == (forward is None)
+    if axes is not None:
+        assert [(axes @ torch.eye(3)[k]).round().tolist() for k in (2, 1)] == [forward, down]
+    moved = capture.placement(ring_rig(2)).float() @ torch.tensor([1.0, 2.0, 3.0, 1.0])
+    assert moved[:3].tolist() == pytest.approx(place)
 
 
 LABELS: dict[str, tuple[list[str], list[str], list[str], list[str] | None]] = {

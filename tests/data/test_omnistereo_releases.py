@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -126,11 +127,19 @@ def test_missing_data_names_folder_files_and_description(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("min_depth", "radius"), [(0.55, 0.20), (1.65, 0.60), (0.5, 0.21), (0.55, 0.04), (3.0, 0.6)]
+    ("min_depth", "radius", "fits"),
+    [
+        *((0.55, 0.20, True), (1.65, 0.60, True), (0.5, 0.21, True), (0.55, 0.04, True), (3.0, 0.6, True)),
+        *((1.31, 0.20, True), (1.33, 0.20, False), (1.65, 0.159, True), (1.65, 0.161, False)),
+        *((1.65, 0.249, False), (1.65, 0.251, True), (0.2, 0.2, True), (0.19, 0.2, False)),
+    ],
 )
-def test_consistent_scales_pass(tmp_path: Path, min_depth: float, radius: float) -> None:
+def test_the_scales_of_two_releases_are_not_mixed(
+    tmp_path: Path, min_depth: float, radius: float, fits: bool
+) -> None:
     for release in RELEASES.values():
-        check_scale(tmp_path, release, min_depth, radius)
+        with nullcontext() if fits else pytest.raises(FileFormatError):
+            check_scale(tmp_path, release, min_depth, radius)
 
 
 @pytest.mark.parametrize(

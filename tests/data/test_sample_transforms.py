@@ -18,6 +18,7 @@ from sphericalvision.data.augmentation.photometric import PhotometricAugmentatio
 from sphericalvision.data.augmentation.transforms import RandomShift, ToSphere
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Equirectangular
+from tests.values import weighted_sum
 from tests.worlds import frames_of_noise
 
 Sample = dict[str, Any]
@@ -125,6 +126,8 @@ def test_shift_moves_pixels_and_the_rig_stays(rig: CameraRig) -> None:
     spread = torch.stack(shifts)
     assert spread.mean().abs() < 0.2
     assert 0.4 < spread.std() < 0.6
+    shifted = RandomShift(generator=torch.Generator().manual_seed(1))(with_truth(rig))["images"]
+    assert weighted_sum(*shifted.values()) == pytest.approx(-10.1982, abs=1e-3)
     same = RandomShift(0.0)(with_truth(rig))["images"]["cam2"]
     torch.testing.assert_close(same, with_truth(rig)["images"]["cam2"], rtol=0, atol=1e-5)
 

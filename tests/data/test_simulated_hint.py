@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 
 from sphericalvision.cameras import ring_rig
 from sphericalvision.data.augmentation.simulated_hint import simulated_hint
 from sphericalvision.sweep.visibility import seen_in_view
+from tests.values import weighted_sum
 
 BATCH, LEVEL = 200, 3
 VERTICES = 642
@@ -49,6 +51,15 @@ def test_hints_are_of_points_of_one_camera_or_of_all():
     outside = [(known & ~seen[:, camera]).any(1) for camera in range(3)]
     single = ~torch.stack(outside).all(0)
     assert 0.15 < single[~sparse].float().mean() < 0.5
+
+
+def test_a_seed_is_the_hints_that_it_was():
+    """Above the level of the fields, too, and of cameras of which each sees another part."""
+    generator = torch.Generator().manual_seed(5)
+    truth, valid = (torch.rand(40, 2562, generator=generator) for _ in range(2))
+    seen = torch.rand(40, 3, 2562, generator=generator) < torch.tensor([0.9, 0.6, 0.3])[:, None]
+    hint = simulated_hint(truth, valid < 0.8, seen, generator)
+    assert weighted_sum(hint.inverse_depth, hint.weight) == pytest.approx(-32.0073, abs=0.02)
 
 
 def test_the_generator_alone_decides():

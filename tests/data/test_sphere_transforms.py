@@ -21,6 +21,7 @@ from sphericalvision.data.augmentation.sphere_rotation import (
 )
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Cubemap, Equirectangular, Healpix, SphereGrid
+from tests.values import weighted_sum
 
 GRIDS = [
     Equirectangular(24, 48, torch.float64),
@@ -229,6 +230,13 @@ def test_rotations_are_even_over_all(generator: torch.Generator) -> None:
     moments = (turns[:, :, 0, None] * turns[:, None, :, 0]).mean(0)
     torch.testing.assert_close(moments, torch.eye(3) / 3, rtol=0, atol=0.01)
     torch.testing.assert_close(torch.linalg.det(turns), torch.ones(len(turns)))
+
+
+def test_a_generator_draws_the_turns_that_it_drew(generator: torch.Generator) -> None:
+    drawn = [random_rotations(5, 0.7, generator)]
+    for angles in ("any", "grid"):
+        drawn += RandomYaw(Icosphere(1), angles=angles, generator=generator).forward_parameters((4,)).values()
+    assert weighted_sum(*drawn) == pytest.approx(9.16838, abs=1e-4)
 
 
 def test_small_rotations_stay_below_the_largest_angle(generator: torch.Generator) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import write_image
 from sphericalvision.scenes import Scene, make_scene, ray_depth
 from sphericalvision.sphere import Equirectangular
+from tests.values import weighted_sum
 
 SCANNER = torch.tensor([0.15, -0.35, -0.1])
 """Where the LiDAR stands, beside and above the rig's centre."""
@@ -65,6 +67,30 @@ def test_what_is_kept_is_right_and_most_of_what_is_seen_is_kept(kind: str, onto:
     seen = torch.zeros(len(valid), dtype=torch.bool)
     seen[pixels[visible & (pixels >= 0)]] = True
     assert (valid & seen).sum() / seen.sum() >= 0.8
+
+
+@pytest.mark.parametrize(
+    ("onto", "options", "number", "expected"),
+    [
+        (Equirectangular(20, 40), {}, 377, -12.50534),
+        (FisheyeCamera.from_field_of_view((24, 31), 3.3), {}, 304, 20.15548),
+        (Equirectangular(20, 40), {"gap": 0.05, "tolerance": 0.03, "noise": 0.02}, 406, -0.01721),
+    ],
+    ids=str,
+)
+def test_a_ball_in_a_box_beside_the_scanner(
+    onto: Any, options: dict[str, float], number: int, expected: float
+) -> None:
+    """How many pixels are known, and a sum of their depth, around a place that neither box nor scanner has."""
+    rays = lidar(64, 300).double()
+    walls = ((torch.tensor([2.0, 1.2, 3.0]) - rays.sign() * SCANNER) / rays.abs()).amin(1)
+    center = torch.tensor([0.9, 0.1, 1.3]).double() - SCANNER
+    along = rays @ center
+    root = along.square() + 0.35**2 - center.square().sum()
+    depth = walls.where((root < 0) | (along < 0), along - root.clamp(min=0).sqrt())
+    truth = truth_from_points(SCANNER + depth[:, None] * rays, onto, (0.1, -0.2, 0.15), **options)
+    assert int(truth.valid.sum()) == number
+    assert weighted_sum(truth.depth) == pytest.approx(expected, abs=1e-3)
 
 
 def test_a_wall_behind_a_wall_is_hidden_and_a_slanted_floor_is_not() -> None:

@@ -10,12 +10,18 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
+from sphericalvision.cameras import ring_rig
 from sphericalvision.capture.preparation.preparation import AS_IT_IS
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import SampleView
 from sphericalvision.io.images import write_image
 from sphericalvision.models import IcoSweepNet, RefinedSweepNet, load_weights
-from sphericalvision.recipes.datamodules.capture import CaptureDataModule, rehearsed_world
+from sphericalvision.recipes.datamodules.capture import (
+    CaptureDataModule,
+    CaptureSamples,
+    _with_rows,
+    rehearsed_world,
+)
 from sphericalvision.recipes.training.adapt_module import AdaptModule
 from sphericalvision.scenes import WorldSamples
 from sphericalvision.scenes.disturbances import CameraDisturbance
@@ -120,6 +126,28 @@ def test_a_rehearsed_scene_and_its_disturbances_are_those_of_its_seed() -> None:
     assert torch.equal(one["inverse_depth"], plain["inverse_depth"])
     assert not torch.equal(one["images"], plain["images"])
     torch.testing.assert_close(one["images"][:, 0], one["images"][:, 2], atol=0.3, rtol=0)
+
+
+def test_a_scene_in_place_of_a_frame_has_the_scale_of_the_capture() -> None:
+    sample = {"rig": ring_rig(2, 0.3), "inverse_depth": torch.tensor([0.5, 2.0]), "frame": "room-1"}
+    scaled = CaptureSamples._scene([sample], 2.5)  # type: ignore[arg-type]
+    torch.testing.assert_close(scaled["rig"].positions, 2.5 * sample["rig"].positions)
+    assert scaled["inverse_depth"].tolist() == pytest.approx([0.2, 0.8])
+    sizes = [
+        camera.image_size for camera in _with_rows(ring_rig(2, image_size=(40, 62)), 20).cameras.values()
+    ]
+    assert sizes == [(20, 31)] * 2
+    assert next(iter(_with_rows(ring_rig(2, image_size=(40, 62)), 50).cameras.values())).image_size == (
+        40,
+        62,
+    )
+
+
+@pytest.mark.parametrize(("number", "every", "judged"), [(12, 5, [2, 7]), (2, 5, [1]), (6, 2, [1, 3, 5])])
+def test_every_so_many_frames_judge(number: int, every: int, judged: list[int]) -> None:
+    data = CaptureDataModule.__new__(CaptureDataModule)
+    data.names, data.held_out_every = [str(k) for k in range(number)], every
+    assert data.held_out == [str(k) for k in judged]
 
 
 def test_scenes_of_the_benchmark_are_not_rehearsed() -> None:

@@ -14,6 +14,7 @@ import torch
 
 from sphericalvision.capture.preparation.preparation import AS_IT_IS
 from sphericalvision.core import ArgumentError
+from sphericalvision.data import SampleView
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep
@@ -27,7 +28,7 @@ from sphericalvision.recipes.evaluation.places import FrameTruth, PlaceErrors
 from sphericalvision.recipes.evaluation.records import Record
 from sphericalvision.recipes.evaluation.track_frames import Size, TrackFrame, TrackFrames, render_frame
 from sphericalvision.recipes.evaluation.tracks import TRACKS, chosen_tracks
-from sphericalvision.scenes.world import HELD_OUT_SEED
+from sphericalvision.scenes.world import HELD_OUT_SEED, World
 from sphericalvision.sphere.intake import Intake
 from sphericalvision.sweep import DepthEstimate
 from tests.recipes.tiny import TINY_BENCHMARK, Run, typed
@@ -125,6 +126,20 @@ def test_seeds_are_held_out() -> None:
         SceneDataModule(rig=rig, train_seed=HELD_OUT_SEED - 10, num_train=11)
     with pytest.raises(ArgumentError, match="seeds below"):
         TRACKS["room"].seed(-1)
+
+
+def test_keys_of_a_data_module_are_those_of_its_world() -> None:
+    keys: dict[str, Any] = {"samples_per_pixel": 3, "kind": "hall", "num_val": 7, "antialias": False}
+    rig = TRACKS["room"].make_rig(0, 16)
+    for more, world in (
+        ({"carrier": "pole"}, {"carrier": "pole"}),
+        ({"tilts_deg": [-10, 90]}, {"tilts": (-math.pi / 18, math.pi / 2)}),
+    ):
+        data = SceneDataModule(rig=rig, **keys, **more)
+        data.view, data.min_depth = SampleView(4, 2, antialias=True), 1.1
+        samples = data.plain("val")
+        assert samples.world == World(rig, "hall", 1.1, carrier_counts=True, samples_per_pixel=3, **world)
+        assert (samples.view, samples.seeds) == (SampleView(4, 2), range(1_000_000, 1_000_007))
 
 
 def sweep(penalty: float = 0.3) -> Method:

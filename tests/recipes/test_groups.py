@@ -19,8 +19,10 @@ from sphericalvision.data import write_omnistereo
 from sphericalvision.models import load_weights
 from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.recipes.app.cli import build
+from sphericalvision.recipes.app.multirun_table import multirun_rows
 from sphericalvision.recipes.app.own_files import import_own_files
 from sphericalvision.recipes.app.rigs import make_ring
+from sphericalvision.recipes.evaluation.records import write_json
 from tests.recipes.tiny import TINY_SCENES, Run, composed, typed
 from tests.worlds import recorded_frames
 
@@ -212,6 +214,22 @@ def test_loggers_are_made(logger: str, tmp_path: Path) -> None:
     config = composed("train", f"logger={logger}", f"paths.run={tmp_path}")
     for name, node in (config.get("logger") or {}).items():
         assert type(build(node, name)).__name__.lower().startswith(name)
+
+
+def test_a_table_of_runs_is_in_their_order_and_has_what_differs(tmp_path: Path) -> None:
+    """Of twelve, one has failed, one goes on, and one was tested; what is the same in all is no column."""
+    for run in range(12):
+        words = [f"optimizer.lr={run}", "seed=3", "data.root=a=b", *(["model=other"] if run == 7 else [])]
+        write_json(tmp_path / f"{run}/.hydra/overrides.yaml", words)
+        if run != 5:
+            write_json(tmp_path / f"{run}/validation.json", {"best": {"MAE": run / 2}})
+    (tmp_path / "10/failed.txt").write_text("no\nspace")
+    write_json(tmp_path / "11/test.json", {"best": {"upright": 0.5}})
+    rows = multirun_rows(tmp_path)
+    assert [row["run"] for row in rows] == [str(run) for run in range(12) if run != 5]
+    assert rows[6] == {"run": "7", "optimizer.lr": "7", "model": "other", "MAE": 3.5}
+    assert rows[-2] == {"run": "10", "optimizer.lr": "10", "model": "", "outcome": "failed: no space"}
+    assert rows[-1] == {"run": "11", "optimizer.lr": "11", "model": "", "MAE": 5.5, "test upright": 0.5}
 
 
 def test_a_sweep_goes_on_after_a_run_that_fails(failing: Run, tmp_path: Path, tiny_training: Words) -> None:

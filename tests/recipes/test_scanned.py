@@ -34,7 +34,7 @@ from sphericalvision.data.scanned.helvipad import (
 from sphericalvision.data.scanned.kitti360 import Kitti360Dataset
 from sphericalvision.data.scanned.omnipus import OmniPusDataset
 from sphericalvision.data.scanned.own import OwnScans
-from sphericalvision.data.scanned.scanned_frames import ScannedFrames
+from sphericalvision.data.scanned.scanned_frames import ScannedFrames, read_raster
 from sphericalvision.data.scanned.spires import SpiresDataset
 from sphericalvision.data.scanned.widedepth import WideDepthDataset
 from sphericalvision.io.images import write_image, write_pages
@@ -293,6 +293,13 @@ def test_sets_without_their_splits_and_truth_of_another_size_are_refused(
     (root / truth).write_bytes(b"no picture")
     with pytest.raises(FileFormatError, match=Path(truth).name):
         _ = frames(root, "train")[0]
+
+
+@pytest.mark.parametrize(("kind", "factor"), [(np.uint16, 0.25), (np.float32, 1.0), (np.float64, 1.0)])
+def test_only_whole_numbers_of_a_raster_are_divided(kind: type, factor: float, tmp_path: Path) -> None:
+    values = np.array([[1, 2, 700], [4, 0, 6]], kind)
+    write_pages(tmp_path / "a.tiff", [values])
+    assert read_raster(tmp_path / "a.tiff", 4.0, (2, 3), "depth").tolist() == (factor * values).tolist()
 
 
 def test_a_sequence_without_scans_is_told(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -114,6 +115,8 @@ def test_each_stage_starts_from_the_one_before_and_learns_its_part(done: Path) -
     card = (done / "outputs/refinedsweepnet/hints.md").read_text()
     assert all(f"small/{stage}" in card for stage in STAGES)
     assert re.search(r"MAE \d+\.\d\d", card)
+    hours = json.loads((done / "outputs/refinedsweepnet/hours.json").read_text())
+    assert all(0 < hours[f"small/{stage}"] < 0.1 for stage in STAGES)
 
 
 def test_a_stage_that_was_stopped_ends_with_the_same_weights(
@@ -161,6 +164,9 @@ def test_samples_larger_than_their_bound_are_refused(tmp_path: Path, monkeypatch
     )
     data = build(config.data)
     data.bind_network(build(config.model))
+    assert data.cache_bytes == 20 * (10_242 + 40_962) * (
+        6 * (3 + 1) + 4
+    )  # six cameras' colours and masks, and depth
     with pytest.raises(ArgumentError, match="cache_gb"):
         data.prepare_data()
     monkeypatch.setattr(shutil, "disk_usage", lambda path: shutil._ntuple_diskusage(2, 1, 1))

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -18,6 +19,7 @@ from sphericalvision.kernels import kernels
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import RefinedSweepNet
 from sphericalvision.models.refinedsweepnet import PRIOR
+from sphericalvision.recipes.training import callbacks
 from sphericalvision.recipes.training.callbacks import MovingAverage
 from sphericalvision.recipes.training.depth_module import DepthModule
 from sphericalvision.scenes.random_rigs import random_rig
@@ -136,3 +138,20 @@ def test_a_gradient_that_is_no_number_is_left_out(module: DepthModule) -> None:
     total = sum(weight.grad.sum().item() for weight in weights if weight.grad is not None)
     assert total == sum(map(torch.numel, weights)) - weights[0][0].numel() - weights[-1][..., -1].numel()
     module.net.zero_grad()
+
+
+def test_a_line_of_progress_tells_where_a_training_stands(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Gone on at step 4; of thirty seconds for two steps ten were waited for samples."""
+    clock = iter([100.0, 104.0, 110.0, 116.0, 130.0])
+    monkeypatch.setattr(callbacks, "time", SimpleNamespace(monotonic=lambda: next(clock)))
+    trainer: Any = SimpleNamespace(global_step=4, max_steps=20, is_global_zero=True)
+    trainer.callback_metrics = {"train/loss": torch.tensor(0.25)}
+    progress = callbacks.PlainProgress()
+    progress.on_train_start(trainer, None)  # type: ignore[arg-type]
+    for trainer.global_step in (5, 6):
+        progress.on_train_batch_start(trainer)
+        progress.on_train_batch_end(trainer)
+    numbers = re.findall(r"\d[\d.:]*", capsys.readouterr().out)
+    assert numbers == ["6", "20", "0:03:30", "15.00", "33", "0.250"]

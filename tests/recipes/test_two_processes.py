@@ -42,6 +42,10 @@ def test_a_training_stream_is_a_function_of_seed_and_position() -> None:
     assert [sample["index"] for sample in whole[:5]] != [sample["index"] for sample in whole[5:10]]
     later = TrainingBatches(stream, batch_size=1, length=8, start=7)
     assert [stream[i] for (i,) in later] == whole[7:]
+    assert [sample["index"] for sample in whole[:10]] == [4, 2, 1, 3, 0, 1, 3, 0, 4, 2]
+    assert torch.stack([sample["noise"] for sample in whole[:3]]).tolist() == pytest.approx(
+        [0.0571, 0.4651, 0.7912], abs=1e-4
+    )
     other = TrainingStream(Numbers(5), seed=4)
     assert [other[i]["noise"] for i in range(5)] != [sample["noise"] for sample in whole[:5]]
 

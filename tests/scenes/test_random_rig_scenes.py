@@ -18,6 +18,7 @@ from sphericalvision.scenes.disturbances import DISPLAY
 from sphericalvision.scenes.draws import Draws
 from sphericalvision.scenes.procedural import make_scene
 from sphericalvision.scenes.rendering.render import ray_depth, render_directions, render_rig
+from tests.values import coarse_sum, weighted_sum
 from tests.worlds import RANDOM_RIGS, random_rigs
 from tests.worlds import scenes as world_scenes
 
@@ -156,12 +157,16 @@ def test_a_carrier_is_in_view_and_in_the_truth_where_it_counts():
 
 
 KNOWN = {
-    0: ("rough", 3, 0.1412, True, True, 1.0, 0.0, 0.0, 12, 1.3011),
-    1: ("glazed", 3, 0.1573, True, False, 1.5323, 0.01918, 0.004915, 60, 2.8907),
-    3: ("hall", 2, 0.0876, False, False, 2.1022, 0.0, 0.0, 70, 0.5371),
-    5: ("patchwork", 4, 0.2, False, False, 2.1401, 0.0, 0.0, 17, 0.2575),
+    0: ("rough", 3, 0.1412, True, True, 1.0, 0.0, 0.0, 12, 1.3011, -0.007, -6.573),
+    1: ("glazed", 3, 0.1573, True, False, 1.5323, 0.01918, 0.004915, 60, 2.8907, 0.258, -1.0),
+    3: ("hall", 2, 0.0876, False, False, 2.1022, 0.0, 0.0, 70, 0.5371, -1.677, -0.944),
+    5: ("patchwork", 4, 0.2, False, False, 2.1401, 0.0, 0.0, 17, 0.2575, 0.672, 0.259),
+    12: ("polished", 4, 0.2, True, False, 1.5018, 0.03251, 0.001288, 81, 4.0428, -0.418, -2.854),
+    13: ("corridor", 2, 0.1458, False, False, 1.0, 0.00719, 0.002379, 47, 1.2219, -4.236, -2.606),
+    30: ("room", 4, 0.0894, True, True, 2.1075, 0.02807, 0.004368, 80, 2.7779, -1.126, 1.009),
 }
-"""Of seeds: kind, cameras, radius, carrier in view, carrier masked, gain, noise, pose error, primitives, exposure."""
+"""Of seeds: kind, cameras, radius, carrier in view, carrier masked, gain, noise, pose error, primitives, exposure, and
+sums of poses and depth, and of pictures and masks."""
 
 
 def test_a_seed_means_what_it_meant_when_the_weights_that_ship_were_trained():
@@ -174,7 +179,12 @@ def test_a_seed_means_what_it_meant_when_the_weights_that_ship_were_trained():
         drawn = len(rig), float(rig.radius), *carried, frame.gain, faults.noise, faults.pose_error
         found = frame.kind, *drawn, len(scene.primitives), scene.exposure.item()
         assert found[0] == known[0]
-        assert found[1:] == pytest.approx(known[1:], abs=1e-4, rel=1e-3)
+        assert found[1:] == pytest.approx(known[1:-2], abs=1e-4, rel=1e-3)
+        depth = frame.inverse_depth(Icosphere(2).vertices)
+        masks = (mask[None].float() for mask in frame.rig.masks.values())
+        geometry = weighted_sum(frame.rig.world_from_camera, depth)
+        assert geometry == pytest.approx(known[-2], abs=0.002)
+        assert coarse_sum(*frame.images.values(), *masks) == pytest.approx(known[-1], abs=0.02)
 
 
 def test_what_is_drawn_for_one_purpose_changes_nothing_of_another():

@@ -159,6 +159,8 @@ def test_images_without_rigs_are_a_rig_of_images(tmp_path: Path) -> None:
     half = 0.5**0.5
     lines = [
         "# comment",
+        "",
+        "",
         "1 1 0 0 0 0 0 0 7 left/a b.png",
         "",
         f"2 {half} 0 {-half} 0 0 0 -0.5 7 right/c.png",

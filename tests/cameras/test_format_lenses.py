@@ -159,6 +159,9 @@ OPENSFM = sample("reconstruction.json")["cameras"]
 LONGER = 24.5 * 640 / 36  # of RealityCapture, whose lengths are in units of the longer side
 LENSES = {
     **{f"kalibr {kind}": of_kalibr(kind) for kind in KALIBR},
+    "kalibr without a word of distortion": of_kalibr("pinhole none")._replace(
+        content={"cam0": {k: v for k, v in KALIBR["pinhole none"].items() if "distortion" not in k}}
+    ),
     **{
         f"colmap {line.split()[1]}": of_colmap(line)
         for line in TEXTS["cameras.txt"].splitlines()

@@ -274,6 +274,12 @@ def ellipsoid(alpha: float, beta: float) -> Callable[[np.ndarray], Any]:
     )
 
 
+def spheres(xi: float, alpha: float) -> Callable[[np.ndarray], Any]:
+    return lambda a: (
+        np.sin(a) / (alpha * np.hypot(np.sin(a), np.cos(a) + xi) + (1 - alpha) * (np.cos(a) + xi))
+    )
+
+
 def fisheye(projection: str) -> Camera:
     return FisheyeCamera(projection, *double(FOCAL, CENTER), (4001, 4001))
 
@@ -323,6 +329,16 @@ def test_ends_where_the_radius_stops_growing(name: str) -> None:
         directions, valid = camera._unproject(double(CENTER)[0] + along * double(scale)[0])
         assert valid.tolist() == [True, False, False, False]
         torch.testing.assert_close(directions.norm(dim=-1), torch.ones(4).double())
+
+
+@pytest.mark.parametrize(("xi", "alpha"), [(-0.28, 0.57), (0.3, 0.7), (0.3, 0.2)])
+def test_double_spheres_end_where_their_paper_says(xi: float, alpha: float) -> None:
+    """Less than three degrees before the radius stops growing."""
+    angle = np.linspace(0, math.pi, 20001)[1:-1]
+    seen = np.logical_and.accumulate(np.diff(spheres(xi, alpha)(angle), prepend=0.0) > 0)
+    valid = lens(DoubleSphereCamera, xi, alpha)._project(circle(torch.from_numpy(angle)) * 3.0).valid.numpy()
+    assert not (valid & ~seen).any()
+    assert 0 < (seen & ~valid).sum() < 300
 
 
 def test_a_polynomial_that_bends_back_ends_the_view_of_ocam() -> None:

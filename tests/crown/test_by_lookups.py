@@ -12,7 +12,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from sphericalvision.crown import Crown, from_crown, to_crown
 from sphericalvision.icosphere import icosphere_vertices
-from sphericalvision.kernels import kernels, prefer_fused
+from sphericalvision.kernels import Operator, kernels, prefer_fused
 from sphericalvision.tables import constant_table, copied
 
 
@@ -23,6 +23,8 @@ def test_where_few_large_operators_are() -> None:
         assert prefer_fused(cpu)
     with kernels("reference"):
         assert not prefer_fused(other)
+    with kernels("plain"):
+        assert Operator(lambda x: 1, cpu=lambda x: 2)(x=torch.ones(1)) == 2
 
 
 def test_tables_are_made_once_and_stay_what_they_are() -> None:
@@ -49,7 +51,7 @@ def test_tables_are_made_once_and_stay_what_they_are() -> None:
 
 
 def test_derivatives_are_looked_up_too() -> None:
-    """Of crowns and of means over places, without adding up into places."""
+    """Of crowns and of means over places, without adding up into places, and they are those of the reference."""
     values = torch.rand(2, 1, 2, 12, dtype=torch.float64, requires_grad=True)
 
     def squared(values: Tensor) -> Tensor:
@@ -61,6 +63,9 @@ def test_derivatives_are_looked_up_too() -> None:
         with Names() as names:
             loss.backward()
     assert not {"index_add", "scatter_add"} & names.seen
+    with kernels("reference"):
+        (expected,) = torch.autograd.grad(squared(values).sum(), values)
+    torch.testing.assert_close(values.grad, expected)
 
 
 class Names(TorchDispatchMode):

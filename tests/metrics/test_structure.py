@@ -77,6 +77,8 @@ def test_bootstrap_intervals_of_many_values_are_those_of_a_normal_mean(
 def test_bootstrap_leaves_out_what_is_unknown() -> None:
     assert math.isnan(bootstrap_interval([math.nan]).mean)
     assert bootstrap_interval([2.0, math.nan, 4.0]).mean == 3.0
+    few = bootstrap_interval([0.3, 1.7, 0.9, math.nan, 5.2, 2.1, 3.3, 0.05])
+    assert few == pytest.approx((1.9357143, 0.8280357, 3.2573214))
     with pytest.raises(ArgumentError, match="probability"):
         bootstrap_interval([1.0], 1.5)
 

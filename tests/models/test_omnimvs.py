@@ -22,6 +22,7 @@ from sphericalvision.models.omnimvs_parts import (
     SphereConv,
     VolumeConv,
     VolumeUpConv,
+    norm_layer,
 )
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import inverse_depth_from_index
@@ -228,6 +229,12 @@ def test_index_at_other_directions(generator: torch.Generator) -> None:
     values, inside = net.index_at(index, directions.flatten(0, 1))
     assert torch.equal(inside.view(16, 32).all(1), (torch.arange(16) >= 4) & (torch.arange(16) < 12))
     torch.testing.assert_close(values[:, inside].view(2, 8, 32), index, rtol=0, atol=1e-4)
+
+
+def test_each_channel_of_each_sample_is_normalised_alone(generator: torch.Generator) -> None:
+    values = torch.randn(2, 3, 5, 7, generator=generator) + torch.arange(6.0).view(2, 3, 1, 1)
+    expected = torch.nn.functional.instance_norm(values)
+    torch.testing.assert_close(norm_layer("instance", 3, 2)(values), expected, rtol=0, atol=1e-5)
 
 
 def test_the_hourglass_doubles_the_volume() -> None:

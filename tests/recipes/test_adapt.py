@@ -10,7 +10,7 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from sphericalvision.cameras import ring_rig
+from sphericalvision.cameras import ring_rig, save_rig
 from sphericalvision.capture.preparation.preparation import AS_IT_IS
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import SampleView
@@ -148,6 +148,21 @@ def test_every_so_many_frames_judge(number: int, every: int, judged: list[int]) 
     data = CaptureDataModule.__new__(CaptureDataModule)
     data.names, data.held_out_every = [str(k) for k in range(number)], every
     assert data.held_out == [str(k) for k in judged]
+
+
+def test_frames_are_of_the_whole_capture(tmp_path: Path) -> None:
+    save_rig(KNOCKED.resized((16, 16)), tmp_path / "rig.yaml")
+    for frame in range(6):
+        for name in KNOCKED.names:
+            write_image(tmp_path / name / f"{frame}.png", torch.rand(3, 16, 16))
+    data = CaptureDataModule(
+        images=f"{tmp_path}/{{camera}}/{{frame}}.png",
+        calibration=f"{tmp_path}/rig.yaml",
+        world=REHEARSAL,
+        start=1,
+        num_frames=3,
+    )
+    assert data.names == ["1", "3", "5"]
 
 
 def test_scenes_of_the_benchmark_are_not_rehearsed() -> None:

@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
-from sphericalvision.cameras import FisheyeCamera, KannalaBrandtCamera, read_camera, read_rig
+from sphericalvision.cameras import FisheyeCamera, KannalaBrandtCamera, read_camera, read_rig, ring_rig
 from sphericalvision.capture import AprilGrid, Charuco
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import angle_from_axis
@@ -70,6 +72,24 @@ def test_rigs_past_180_degrees_are_calibrated(
     axes = [rig.world_from_camera[:, :3, 2] @ rig.world_from_camera[0, :3, :3] for rig in (found, truth)]
     between = [angle_from_axis(axis).rad2deg() for axis in axes]
     torch.testing.assert_close(between[0], between[1], rtol=0, atol=0.02)
+
+
+def test_the_worst_pictures_come_first(capsys: pytest.CaptureFixture[str]) -> None:
+    rig = ring_rig(2, image_size=(64, 64))
+    residuals = torch.zeros(3, 2, 8, 2)
+    residuals[..., 1] = torch.tensor([[0.1, 0.5], [0.3, 0.2], [0.4, 0.0]])[..., None]
+    labels = [{name: f"{name}-{moment}" for name in rig.names} for moment in "abc"]
+    sizes = dict.fromkeys(rig.names, (64, 64))
+    pictures = commands.Pictures(labels, sizes, 63 * torch.rand(3, 2, 8, 2), torch.ones(3, 2, 8).bool())
+    commands._report(SimpleNamespace(residuals=residuals, rig=rig, rms_error=0.3), pictures)  # type: ignore[arg-type]
+    printed = capsys.readouterr().out
+    found = re.findall(r"(cam\d-\w).*(0\.\d{3})", printed)
+    assert [name for name, _ in found] == ["cam2-a", "cam1-c", "cam1-b", "cam2-b", "cam1-a"]
+    assert [rms for _, rms in found] == ["0.500", "0.400", "0.300", "0.200", "0.100"]
+    assert "boards on 5 of 6" in printed
+    assert "RMS 0.294 px of 24 corners" in printed  # √((0.1² + 0.3² + 0.4²) / 3)
+    assert "8 of 48 corners left out" in printed
+    assert "cam2-c left out" in printed
 
 
 def test_boards_that_two_cameras_never_share_are_told(failing: Run, tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from sphericalvision.capture.sources.opening import open_source, rig_with_masks
 from sphericalvision.capture.sources.patterns import find_files, find_labels
 from sphericalvision.core import ArgumentError, MissingFileError
 from sphericalvision.io.images import write_image
-from sphericalvision.recipes.app.captures import Capture, PosedCapture
+from sphericalvision.recipes.app.captures import Capture, PosedCapture, cameras_and_labels
 from sphericalvision.recipes.app.rigs import make_ring
 from tests.recipes.tiny import Run
 
@@ -139,6 +139,12 @@ def test_what_is_wrong_with_the_layout_of_a_folder_is_told(tmp_path: Path) -> No
         rig_with_masks(rig, f"{tmp_path}/mask.png")
     with pytest.raises(ArgumentError, match=r"cameras: .* of its own"):
         open_source(f"{tmp_path}/numbers/{{camera}}/{{frame}}.png", rig, labels={"cam1": "cam2"})
+
+
+def test_a_name_with_a_colon_is_a_name() -> None:
+    rig = ring_rig(3, image_size=(4, 4))
+    named = CameraRig(dict(zip(("a:b", "c", "d"), rig.cameras.values(), strict=True)), rig.world_from_camera)
+    assert cameras_and_labels(["c:x:y", "a:b"], named) == (["c", "a:b"], {"c": "x:y"})
 
 
 @pytest.mark.parametrize(

@@ -305,6 +305,10 @@ def test_only_whole_numbers_of_a_raster_are_divided(kind: type, factor: float, t
 def test_a_sequence_without_scans_is_told(tmp_path: Path) -> None:
     with pytest.raises(MissingFileError, match=r"nothing.*cloud_"):
         SpiresDataset(write_spires(tmp_path), ["nothing"])
+    root = write_kitti360(tmp_path / "k")
+    (root / "calibration/calib_cam_to_pose.txt").write_text("")
+    with pytest.raises(MissingFileError, match="no transform in it"):
+        Kitti360Dataset(root, [SEQUENCE])
 
 
 def test_disparity_is_the_angle_between_both_cameras() -> None:

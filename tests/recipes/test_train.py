@@ -167,7 +167,7 @@ def test_weights_of_other_sizes_are_refused_by_what_differs(tmp_path: Path) -> N
     weights = tmp_path / "other.safetensors"
     save_weights(RefinedSweepNet(5, widths=(4, 4), blocks=1, prior={**PRIOR}), weights)
     with pytest.raises(ArgumentError, match=r"set model\.refining_blocks=2 or take other weights$"):
-        initialize(RefinedSweepNet(5, widths=(4, 4), blocks=1, refining_blocks=1), weights)
+        initialize(RefinedSweepNet(5, min_depth=0.7, widths=(4, 4), blocks=1, refining_blocks=1), weights)
 
 
 def test_resuming_another_network_is_refused(failing: Run, tiny_training: Words, trained: Any) -> None:

@@ -194,6 +194,11 @@ def test_photographs_of_a_rig_merge_into_the_panorama_that_they_show() -> None:
     assert repr(Views(images, rig).target) == repr(cut.target)
     alone = views(images["front"], fisheye, "cube", image_size=(20, 20))
     assert set(alone.rig.masks) == {"cam2", "cam3", "cam4", "cam5", "cam6"}  # all but the view ahead
+    steps = {"front": images["front"].round()}  # of which the nearest pixel has one
+    front = CameraRig({"front": fisheye}, poses[:1])
+    for mode, whole_steps in (("nearest", True), ("bilinear", False)):
+        shown = views(steps, front, [(0.0, 0.0, 0.0)], 1.0, (30, 30), mode=mode).images[0]
+        assert torch.equal(shown, shown.round()) == whole_steps
 
 
 def test_parts_of_panoramas_and_grids_are_cut_too() -> None:

@@ -45,29 +45,6 @@ def test_is_the_logistic_regression_of_margin_and_spread(generator: torch.Genera
         assert found[sample, vertex].item() == pytest.approx(expected, rel=1e-4)
 
 
-def test_neighbouring_hypotheses_do_not_contradict() -> None:
-    index, full = torch.full((1, 162), 7.0), torch.ones(1, 162)
-    alone = one_valley(index, 1.0)
-    wide = torch.minimum(alone, one_valley(index + 1, 1.0))
-    torch.testing.assert_close(
-        sweep_confidence(wide, full, index, 1), sweep_confidence(alone, full, index, 1)
-    )
-    other = torch.minimum(alone, one_valley(index + 2, 1.0))
-    assert (sweep_confidence(other, full, index, 1) < 0.1).all()
-    assert (sweep_confidence(other, full, index, 2) > 0.9).all()  # two tried hypotheses are one
-
-
-def test_is_small_within_two_rings_of_a_depth_edge() -> None:
-    ico = Icosphere(4)
-    index = torch.where(ico.vertices[:, 0] > 0, 2.0, 12.0)[None]
-    confidence = sweep_confidence(one_valley(index, 1.0), torch.ones_like(index), index, 1)[0]
-    distance = ico.vertices[:, 0].abs()
-    near, far = confidence[distance < 0.05], confidence[distance > 0.2]
-    assert near.max() < 0.6 < far.min()
-    twice = sweep_confidence(one_valley(2 * index, 1.0, 31), torch.ones_like(index), 2 * index, 2)[0]
-    torch.testing.assert_close(twice, confidence)  # the same depths, counted in halves
-
-
 def test_a_vertex_with_five_neighbours_looks_at_these_alone() -> None:
     """In tables of six, what stands in the place of the sixth is not vertex 0."""
     index, full, images = torch.full((1, 642), 7.0), torch.full((1, 642), 0.05), torch.rand(1, 3, 642)

@@ -63,3 +63,12 @@ def test_every_camera_of_a_rig_is_drawn_in_its_colour() -> None:
         half = picture.shape[0] // 2
         assert both[:half].sum() > 50
         assert both[half:].sum() > 50
+
+
+def test_what_is_higher_in_the_world_is_higher_in_the_picture() -> None:
+    poses = torch.eye(4).repeat(2, 1, 1)
+    poses[:, 1, 3] = torch.tensor([-0.2, 0.2])
+    picture = rig_picture(CameraRig([PinholeCamera([200.0, 200.0], [99.5, 99.5], (200, 200))] * 2, poses))
+    space = picture[: picture.shape[0] // 2]
+    upper, lower = (colored(space, color).nonzero()[0].mean() for color in ((31, 119, 180), (255, 127, 14)))
+    assert upper < lower - 20

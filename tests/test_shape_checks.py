@@ -10,8 +10,12 @@ from types import ModuleType
 
 import pytest
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
+from sphericalvision.core import ShapeError
 from sphericalvision.icosphere import Icosphere, locate
+from sphericalvision.shapes import check_shapes
 from sphericalvision.sweep.winner import winner_takes_all
 from tests.processes import python
 from tests.shape_checks import AnnotationError, CheckingLoader
@@ -144,6 +148,14 @@ def test_wrapped_functions_look_like_themselves(example: ModuleType) -> None:
     assert (example.add.__name__, example.add.__module__) == ("add", "example")
     assert example.add.__globals__ is vars(example)  # where doctest looks whose function this is
     assert example.add.__code__ is not example.pair.__code__  # torch.compile keeps programs by code
+
+
+def test_refusals_have_all_sizes_of_a_batch() -> None:
+    @check_shapes
+    def both(values: Float[Tensor, "*batch n"], others: Float[Tensor, "*batch 3"]) -> None: ...
+
+    with pytest.raises(ShapeError, match=r"others: expected shape \(4, 5, 3\), .*, got \(4, 6, 3\)"):
+        both(torch.ones(4, 5, 2), torch.ones(4, 6, 3))
 
 
 def test_the_package_is_checked() -> None:

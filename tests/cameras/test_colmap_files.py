@@ -154,15 +154,13 @@ def test_a_model_that_colmap_wrote(tmp_path: Path) -> None:
 
 
 def test_images_without_rigs_are_a_rig_of_images(tmp_path: Path) -> None:
-    """Two images of one camera; an empty line, and one of points, between them; names may have spaces."""
+    """Two images of one camera; empty lines, and one of points, between them; names may have spaces."""
     dump(tmp_path / "cameras.txt", "7 PINHOLE 320 240 300 300 160 120\n")
     half = 0.5**0.5
     lines = [
         "# comment",
-        "",
-        "",
         "1 1 0 0 0 0 0 0 7 left/a b.png",
-        "",
+        *("", "", ""),
         f"2 {half} 0 {-half} 0 0 0 -0.5 7 right/c.png",
         "1 2 -1",
     ]

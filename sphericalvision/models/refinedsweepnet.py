@@ -462,7 +462,9 @@ def _loss_of_step(refined: RefinedIndex, true: Tensor, valid: Tensor, loss: Call
     doubt = F.binary_cross_entropy_with_logits(refined.confidence, sure, reduction="none")
     sky = (true <= 0) & valid
     rarity = (RARE_SKY / sky.float().mean(-1, keepdim=True).clamp(min=1e-6)).clamp(1, MOST)
-    sky_loss = F.binary_cross_entropy_with_logits(refined.sky, sky.to(sure), reduction="none")
+    # What counts as if it came more often is called so more often. The logit without that says how likely sky is.
+    shifted = refined.sky + rarity.log()
+    sky_loss = F.binary_cross_entropy_with_logits(shifted, sky.to(sure), reduction="none")
     doubt = doubt + sky_loss * torch.where(sky, rarity, 1.0)
     return loss(refined.index, true, valid, weights=weights) + 0.1 * mean_of_samples(doubt, valid)
 

@@ -28,7 +28,7 @@ from sphericalvision.models.candidate_refinement import (
 from sphericalvision.models.hexunet import HexUNet
 from sphericalvision.models.hint_gate import HintedIndex, HintGate, SweepClues, agreement
 from sphericalvision.models.logit_fusion import FusedLogits
-from sphericalvision.models.refinedsweepnet import FARTHEST
+from sphericalvision.models.refinedsweepnet import FARTHEST, RARE_SKY
 from sphericalvision.models.tried_hypotheses import two_modes
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.sweep import DepthHint, index_from_depth, inverse_depth_from_index
@@ -226,11 +226,12 @@ def test_prior_is_drawn_to_the_true_index(net, frame, index):
     assert (prior.grad.argmin(1) == index).all()
 
 
-def sky_logit_gradient(net, frame, true):
-    """How the loss changes with the logit of the sky, the same at all vertices before training."""
+def sky_logit_gradient(net, frame, true, logit=RARE):
+    """How the loss changes with the logit of the sky, where that is the same at all vertices."""
     images, rig, seen, _ = frame
-    bias = net.refinement.exit.bias.requires_grad_(True)
-    bias.grad = None
+    bias = net.refinement.exit.bias
+    bias.data[6], bias.grad = logit, None
+    bias.requires_grad_(True)
     net.training_loss(
         images, rig, seen, true, torch.ones_like(true, dtype=torch.bool), depth_index_huber
     ).backward()
@@ -248,20 +249,27 @@ def test_sky_is_infinitely_far_and_no_surface_is(net, frame):
     torch.testing.assert_close(surface, torch.full_like(surface, FARTHEST))
 
 
-def test_training_tells_sky_from_surfaces_and_little_sky_counts_more(net, frame):
-    """Each vertex of sky pulls its logit up, each other one down; per vertex a little sky pulls more than a lot."""
-    all_sky, no_sky = torch.zeros_like(frame[3]), torch.ones_like(frame[3])
-    push = sky_logit_gradient(net, frame, no_sky)
-    assert sky_logit_gradient(net, frame, all_sky) < 0 < push
-    pulls = []
-    for share in (0.5, 0.05, 0.025, 0.01):
-        true = no_sky.clone()
-        number = round(share * true.shape[-1])
-        true[:, :number] = 0.0
-        surfaces = push * (1 - number / true.shape[-1])
-        pulls.append((surfaces - sky_logit_gradient(net, frame, true)) / number)
-    assert pulls[0] == pytest.approx(pulls[1], rel=0.05)
-    assert pulls[1] < 0.6 * pulls[2] < 0.4 * pulls[3]
+@pytest.mark.parametrize(("share", "weight"), [(0.5, 1.0), (0.05, 1.0), (0.025, 2.0), (0.01, 4.0)])
+def test_little_sky_counts_more_and_its_logit_says_how_likely_sky_is(net, frame, share, weight):
+    """Sky counts ``weight`` times in the cross entropy of a logit that is higher by the logarithm of that."""
+    no_sky = torch.ones_like(frame[3])
+    true = no_sky.clone()
+    number = round(share * true.shape[-1])
+    true[:, :number] = 0.0
+    share = number / true.shape[-1]
+    assert min(max(RARE_SKY / share, 1.0), 4.0) == pytest.approx(
+        weight, rel=0.05
+    )  # shares are of whole vertices
+    weight = min(max(RARE_SKY / share, 1.0), 4.0)
+
+    def called(weight):
+        return 1 / (1 + math.exp(-RARE - math.log(weight)))
+
+    scale = sky_logit_gradient(net, frame, no_sky) / called(4)
+    expected = (1 - share) * called(weight) - share * weight * (1 - called(weight))
+    assert sky_logit_gradient(net, frame, true) == pytest.approx(scale * expected, rel=1e-3)
+    settled = sky_logit_gradient(net, frame, true, math.log(share / (1 - share)))
+    assert abs(settled) < 1e-4 * scale
 
 
 def test_modes_are_surfaces_not_their_mean():

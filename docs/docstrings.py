@@ -232,6 +232,8 @@ class Docstrings(griffe.Extension):
 
     def on_class_members(self, *, cls: griffe.Class, **_: Any) -> None:
         """Give a camera the constructor that its declaration makes."""
+        if not cls.module.path.startswith("sphericalvision.cameras."):
+            return
         value = getattr(importlib.import_module(cls.module.path), cls.name, None)
         if (
             not inspect.isclass(value)

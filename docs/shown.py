@@ -7,6 +7,7 @@ MkDocs loads this file as a hook; ``on_config`` then makes it importable from th
 from __future__ import annotations
 
 import base64
+import gc
 import hashlib
 import json
 import os
@@ -46,6 +47,7 @@ BRACKETS = r"(<td[^>]*>(?:<strong>)?[-−+±\d.,]+(?: ?%)?(?:</strong>)?) (\([^<
 def on_config(config: Any) -> None:
     """What MkDocs calls once it is configured."""
     sys.path.append(str(Path(__file__).parent))
+    gc.set_threshold(50_000)  # a build keeps most of what it makes
     if page := os.environ.get("PAGE"):
         config.nav = [page]
 

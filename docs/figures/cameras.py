@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
@@ -103,6 +104,7 @@ def radius_by_angle() -> str:
     )
 
 
+@functools.cache
 def coverage() -> str:
     """How many cameras of a ring of four see each direction, level and tilted."""
     figure = new_figure(8.8, 2.75)

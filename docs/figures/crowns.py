@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -105,6 +106,7 @@ def arrow(
     figure.add_artist(patch)
 
 
+@functools.cache
 def unfolding() -> str:
     """Ball, net, columns and rows."""
     figure = new_figure(8.8, 5.2)

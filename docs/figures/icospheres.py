@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -63,6 +64,7 @@ def draw_sphere(axes: Axes, level: int, elevation_deg: float = 28.0) -> np.ndarr
     return view
 
 
+@functools.cache
 def levels() -> str:
     """Levels 0 to 3."""
     figure = new_figure(8.6, 2.5)

@@ -18,10 +18,11 @@ from figures.tables import read
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.data import ToSphere
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.models import pretrained
+from sphericalvision.models import RefinedSweepNet, pretrained
+from sphericalvision.models.refinedsweepnet import RefinedTables
 from sphericalvision.recipes.evaluation.tables import Table
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
-from sphericalvision.sphere import Equirectangular, resample
+from sphericalvision.sphere import Equirectangular, Resample
 from sphericalvision.sweep import index_from_depth
 from sphericalvision.viz import depth_to_color, rgb_panorama
 from sphericalvision.viz.color import depth_ticks
@@ -35,6 +36,7 @@ __all__ = [
     "reliability",
     "result",
     "scene_images",
+    "shipped",
 ]
 
 PANORAMA = Equirectangular(180, 360)
@@ -63,28 +65,41 @@ class Result(NamedTuple):
 
 
 @functools.cache
+def shipped() -> tuple[RefinedSweepNet, CameraRig, RefinedTables]:
+    """The network that ships, four 220° fisheyes of 256 pixels, and the tables of both."""
+    net, rig = (
+        pretrained("refinedsweepnet"),
+        ring_rig(4, 0.2, image_size=(256, 256)),
+    )
+    return net, rig, net.tables(rig)
+
+
+@functools.cache
+def to_panorama() -> Resample:
+    """From the network's vertices."""
+    return Resample(Icosphere(shipped()[0].level), PANORAMA)
+
+
+@functools.cache
 def scene_images(
     kind: str, seed: int
 ) -> tuple[CameraRig, dict[str, Tensor], Tensor]:
     """The rig, its photographs, and these on the network's icosphere, ``(1, 4, 3, V)``."""
-    rig = ring_rig(4, 0.2, image_size=(400, 400))
-    pictures = render_rig(
-        make_scene(kind, 10_100_000 + seed), rig, samples_per_pixel=2
-    )
-    return rig, pictures, ToSphere(6).images(pictures, rig)[None]
+    net, rig, _ = shipped()
+    pictures = render_rig(make_scene(kind, 10_100_000 + seed), rig)
+    return rig, pictures, ToSphere(net.level).images(pictures, rig)[None]
 
 
 @functools.cache
 def result(kind: str = "room", seed: int = 11) -> Result:
-    """One scene through four 220° fisheyes of 400 pixels, and the shipped network's answer, on a panorama."""
-    net = pretrained("refinedsweepnet")
+    """One scene, and the shipped network's answer, on a panorama."""
+    net, _, tables = shipped()
     rig, pictures, images = scene_images(kind, seed)
     scene = make_scene(kind, 10_100_000 + seed)
     with torch.inference_mode():
-        index, sure, seen = net.predict(images, net.tables(rig))
-    ico = Icosphere(net.level)
+        index, sure, seen = net.predict(images, tables)
     truth = ray_depth(scene, rig.center, PANORAMA.directions)
-    shown = resample(torch.cat([index, sure, seen.float()]), ico, PANORAMA)
+    shown = to_panorama()(torch.cat([index, sure, seen.float()]))
     depth = net.depth(shown[0])
     colors, _ = rgb_panorama(rig, pictures, PANORAMA.shape[0], depth)
     return Result(
@@ -207,6 +222,7 @@ def hero() -> str:
     )
 
 
+@functools.cache
 def confidence() -> str:
     """Image, depth, error and confidence; then kept share against error."""
     shown = result()

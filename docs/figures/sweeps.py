@@ -10,9 +10,8 @@ import torch
 from matplotlib.patches import Circle
 
 from figures import CHARTS, FAINT, INK, MARK, bare_axes, new_figure, to_html
-from figures.results import scene_images
+from figures.results import scene_images, shipped
 from sphericalvision.icosphere import Icosphere, icosphere_upsample
-from sphericalvision.models import pretrained
 from sphericalvision.models.tried_hypotheses import two_modes
 from sphericalvision.scenes import make_scene, ray_depth
 from sphericalvision.sweep import index_from_depth, inverse_depth_hypotheses
@@ -119,8 +118,8 @@ def geometry() -> str:
 
 def probabilities() -> str:
     """What sweep, prior and their fusion say at a textured, a bare and an edge vertex of one scene."""
-    net, (rig, _, images) = pretrained("refinedsweepnet"), scene_images("room", 11)
-    tables = net.tables(rig)
+    net, rig, tables = shipped()
+    images = scene_images("room", 11)[2]
     with torch.inference_mode():
         seen = tables.sweep.seen[None]
         clues = net.clues(images, tables, seen)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import torch
@@ -86,6 +87,7 @@ def resampling_modes() -> str:
     )
 
 
+@functools.cache
 def scenes() -> str:
     """A fisheye image and the depth of one scene of each kind."""
     camera, panorama = (

@@ -109,6 +109,13 @@ ASKED = r'<h([1-6]) id="([^"]+)">(?:(?!</h[1-6]>).)*</h[1-6]>\s*<!-- search: ([^
 """A heading and, below it, what people call what stands there."""
 SYNONYMS: dict[str, list[str]] = {}
 """Address of a section -> those words. They count as much as its title."""
+UNREAD = re.compile(
+    r'<details class="mkdocstrings-source">.*?</details>|<svg\b.*?</svg>', re.DOTALL
+)
+"""What nobody searches: the source of a function, a drawing."""
+MARK = "<!-- unsearched -->"
+UNSEARCHED: dict[str, list[str]] = {}
+"""Address of a page -> what such marks stand for."""
 PAGE = re.compile(r"<!-- page: (\S+) -->")
 """All that is in a page of the site that is a file of the repository's top level."""
 FILES = {"CHANGELOG.md": "changelog.md", "CONTRIBUTING.md": "contributing.md"}
@@ -147,7 +154,7 @@ def on_page_markdown(markdown: str, page: Any, **_: object) -> str:
 
 @event_priority(50)  # before the search reads the page
 def on_page_content(content: str, page: Any, **_: object) -> str:
-    """The source of a function is no text that one searches; brackets in a table stand below their number."""
+    """What nobody searches is left out until the search has read it; brackets in a table stand below their number."""
     if "markdown_exec/_internal" in content:
         raise PluginError(
             f"{page.file.src_uri}: a block of the page raised, and its traceback is in the page"
@@ -156,10 +163,15 @@ def on_page_content(content: str, page: Any, **_: object) -> str:
     for level, heading, words in re.findall(ASKED, content):
         section = page.url if level == "1" else f"{page.url}#{heading}"
         SYNONYMS[section] = words.split(", ")
-    return content.replace(
-        '<details class="mkdocstrings-source"',
-        '<details data-search-exclude class="mkdocstrings-source"',
-    )
+    UNSEARCHED[page.url] = re.findall(UNREAD, content)
+    return re.sub(UNREAD, MARK, content)
+
+
+@event_priority(-50)  # after the search has read the page
+def on_page_context(context: object, page: Any, **_: object) -> None:
+    """Put the sources and drawings back that the search has no need to parse, tag by tag."""
+    pieces = iter(UNSEARCHED.pop(page.url, ()))
+    page.content = re.sub(MARK, lambda _: next(pieces), page.content)
 
 
 def on_post_page(output: str, page: Any, config: Any) -> str:

@@ -116,7 +116,7 @@ def to_html(figure: Figure, alt: str, caption: str = "") -> str:
     alt = html.escape(alt)
     svg = svg.replace(
         "<svg",
-        f'<svg class="drawing" style="--inches: {inches}" data-search-exclude role="img" aria-label="{alt}"',
+        f'<svg class="drawing" style="--inches: {inches}" role="img" aria-label="{alt}"',
         1,
     )
     svg = re.sub(r"(<svg[^>]*>)", rf"\1<title>{alt}</title>", svg, count=1)

@@ -36,7 +36,7 @@ GRIDS: dict[str, Callable[..., Any]] = {
 """Ten thousand values each."""
 SEAM = math.radians(2.5)
 """Half the width of what counts as a seam."""
-ROUNDS = 25
+ROUNDS = 15
 
 
 def harmonics(directions: Tensor) -> Tensor:

@@ -91,7 +91,7 @@ def resampling_modes() -> str:
 def scenes() -> str:
     """A fisheye image and the depth of one scene of each kind."""
     camera, panorama = (
-        FisheyeCamera.from_field_of_view((160, 160), math.radians(220)),
+        FisheyeCamera.from_field_of_view((96, 96), math.radians(220)),
         Equirectangular(60, 120),
     )
     high = 3.1

@@ -165,7 +165,7 @@ class Timeline:
         """Write the page and return its path."""
         near = self.near or 1.0
         bar = depth_to_color(near / torch.linspace(1.0, 0.0, 256).repeat(8, 1), near)
-        facts = "evenly in 1/m; greyer where less sure, grey where fewer than two cameras look"
+        facts = "evenly in 1/m; greyer where less sure; grey: no two cameras"
         if self._frames and len(self._frames[0]["pictures"]) > 3:
             facts += f"; error: black 0, yellow {MOST_ERROR:.0f} % of N and more"
         values = {

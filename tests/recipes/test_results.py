@@ -55,6 +55,21 @@ def test_every_output_is_what_it_says(tmp_path: Path) -> None:
         assert arrays["confidence_panorama"].max() <= 1
 
 
+def test_files_are_in_the_axes_of_a_robot_but_those_with_axes_of_their_own(tmp_path: Path) -> None:
+    axes = torch.tensor([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+    for name, turn in (("rig", None), ("robot", axes)):
+        settings = Settings(["cloud", "mesh", "fused", "glb"], 16, near=1.0, axes=turn)
+        outputs = Outputs(tmp_path / name, settings)
+        outputs.write("7", ball(ring_rig(3, image_size=(16, 16))))
+        outputs.close()
+    for file in ("7_points.ply", "7_mesh.ply", "fused.ply", "7_points.glb", "7_mesh.glb", "fused.glb"):
+        found = [trimesh.load(tmp_path / name / file, process=False) for name in ("rig", "robot")]
+        if file.endswith("glb"):
+            found = [next(iter(scene.geometry.values())) for scene in found]
+        rig, robot = (np.asarray(each.vertices) for each in found)
+        np.testing.assert_allclose(robot, rig if file.endswith("glb") else rig @ axes.numpy().T, atol=1e-5)
+
+
 def test_unknown_outputs_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ArgumentError, match=r"outputs: expected one of .*'depth'"):
         Outputs(tmp_path, Settings(["depth", "voxels"]))

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from sphericalvision.sphere.resampling.views import Views
 
 FITS = ("metres", "scale", "affine")
+FARTHEST = 1e4
+"""Metres, beyond which a hint says nothing."""
 COMPARED = 2000
 """Rays of a view that are compared with a network's own answer."""
 FEWEST = 20
@@ -102,6 +104,12 @@ class Hint:
         if not any(len(view.values) and bool((view.values != 0).any()) for view in self.views):
             raise ArgumentError(
                 "hint: it has no valid depth: all values are 0, infinite or NaN, or have the weight 0; leave it out"
+            )
+        nearest = max(float(view.values.max()) for view in self.views if len(view.values))
+        if self.fit == "metres" and 0 < nearest < 1 / FARTHEST:
+            raise ArgumentError(
+                f"hint: expected metres from the rig, got nothing nearer than {1 / nearest:,.0f} m; take the rig's "
+                "position away from the coordinates of a map"
             )
         for view in self.views:
             below = 0 if self.fit == "affine" else int((view.values < 0).sum())

@@ -118,8 +118,7 @@ def read_image(
     page = _to_rgb(_first_page(path, image_size, what))
     if page.ndim == 2:
         page = np.repeat(page[..., None], 3, axis=-1)
-    if page.dtype == np.uint16:
-        warn_of_bits(int(page.max(initial=0)), what)
+    warn_of_bits(int(page.max(initial=0)), what, 8 * page.dtype.itemsize)
     scaled = page.astype(np.float32) / np.float32(np.iinfo(page.dtype).max)
     return torch.from_numpy(np.ascontiguousarray(scaled.transpose(2, 0, 1)))
 
@@ -236,18 +235,20 @@ def write_image(path: str | Path, image: Tensor | Array) -> None:
     write_pages(path, [image[..., 0] if image.ndim == 3 and image.shape[-1] == 1 else image])
 
 
-def warn_of_bits(brightest: int, what: str) -> None:
-    """Warn where an image of 16 bits has no more than 10 or 12, as sensors give them: it is nearly black.
+def warn_of_bits(brightest: int, what: str, bits: int) -> None:
+    """Warn where an image has 10 or 12 of 16 bits, as sensors give them, or holds 0 and 1 alone: it is nearly black.
 
     Args:
         brightest: value of it.
         what: it is, for the message.
+        bits: of its type.
     """
-    if 255 < brightest < 4096:
-        bits = 10 if brightest < 1024 else 12
+    held = {1: 1, 9: 10, 10: 10, 11: 12, 12: 12}.get(brightest.bit_length(), bits)
+    if held < bits:
+        white = 2**bits - 1
         warnings.warn(
-            f"{what}: expected 16 bits, of which 65535 is white, but none is above {2**bits - 1}; if these are {bits} "
-            f"bits, multiply them by {2 ** (16 - bits)}",
+            f"{what}: expected {bits} bits, of which {white} is white, but none is above {2**held - 1}; if that is "
+            f"white, multiply them by {white // (2**held - 1)}",
             stacklevel=3,
         )
 

@@ -22,9 +22,10 @@ _NANOSECONDS_FROM = 1e13
 _SINCE_1970 = 1e9
 """Seconds; no count, resolution or date of a file's name is as large."""
 _DATE = re.compile(
-    r"((?:19|20)\d\d)(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])[_-]?([01]\d|2[0-3])([0-5]\d)([0-5]\d)(?:\.?(\d{3}))?"
+    r"((?:19|20)\d\d)-?(0[1-9]|1[0-2])-?(0[1-9]|[12]\d|3[01])[ T_-]?([01]\d|2[0-3])[:-]?([0-5]\d)[:-]?([0-5]\d)"
+    r"(?:[.,]?(\d{3})|[.,_](\d{6}|\d{9}))?Z?"
 )
-"""Year, month, day, hour, minute, second and, of some phones, milliseconds."""
+"""Year, month, day, hour, minute, second and their fraction; ``_001`` counts the images of a second."""
 
 
 def seconds(names: Sequence[str]) -> list[float | None]:
@@ -34,9 +35,9 @@ def seconds(names: Sequence[str]) -> list[float | None]:
     seconds by its magnitude; or two numbers, seconds and their fraction in nanoseconds, or in microseconds where no
     name of all has more than six digits of it and seconds are since 1970. A word before the first underscore
     (``cloud_...``) may stand before times since 1970, in nanoseconds or with decimals: ``frame_12`` is a count,
-    ``1920_1080`` a size. Dates (``20240131_235959``, ``20240131235959``) are times where all tell milliseconds
-    (``PXL_20240131_235959123``), too. Decimals of unequal lengths up to nine, some of which end in 0, are nanoseconds
-    without the zeros in front: no program writes fractions so.
+    ``1920_1080`` a size. Dates (``20240131_235959``, ``2024-01-31 23:59:59``) are times where all tell fractions of a
+    second (``PXL_20240131_235959123``, ``2024-01-31T23-59-59.123456Z``), too. Decimals of unequal lengths up to nine,
+    some of which end in 0, are nanoseconds without the zeros in front: no program writes fractions so.
 
     Examples:
         >>> seconds(["cloud_1700000000_250000000", "1700000000.25", "1700000000250000000", "1.70000000025e+18"])
@@ -49,7 +50,7 @@ def seconds(names: Sequence[str]) -> list[float | None]:
     stems = [re.sub(r"^[A-Za-z]+_(?=\d)", "", name) for name in names]
     dates = [date for stem in stems if (date := _DATE.fullmatch(stem))]
     if len(dates) == len(stems):
-        return [_of_date(date) if all(date[7] for date in dates) else None for date in dates]
+        return [_of_date(date) if all(date[7] or date[8] for date in dates) else None for date in dates]
     decimals = [stem.partition(".")[2] for stem in stems]
     is_unpadded = any(re.fullmatch(r"\d+0", text) and len(text) < 9 for text in decimals)
     if is_unpadded and max(map(len, decimals)) == 9:
@@ -69,8 +70,8 @@ def seconds(names: Sequence[str]) -> list[float | None]:
 
 
 def _of_date(date: re.Match[str]) -> float:
-    *parts, milliseconds = map(int, date.groups())
-    return timegm((*parts, 0, 0, 0)) + milliseconds / 1000
+    *parts, short, long = date.groups()
+    return timegm((*map(int, parts), 0, 0, 0)) + float(f"0.{short or long}")
 
 
 def _of_number(text: str) -> float | None:

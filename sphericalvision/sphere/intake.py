@@ -253,13 +253,13 @@ def _as_tensor(name: str, image: Any) -> Tensor:
         )
     if not array.numel():
         raise ShapeError(f"images[{name!r}]: expected one image or more, got shape {tuple(array.shape)}")
-    if bits == "8":
-        return array
-    values = array.float()
-    if bits == "16":
+    values = array if bits == "8" else array.float()
+    if bits == "16" or (bits == "8" and values.device.type == "cpu"):  # a GPU would be waited for
         from sphericalvision.io.images import warn_of_bits
 
-        warn_of_bits(int(values.max()), f"images[{name!r}]")
+        warn_of_bits(int(values.max()), f"images[{name!r}]", int(bits))
+    if bits == "8":
+        return values
     if bits is not None:
         return values / (2 ** int(bits) - 1)
     if values.numel():

@@ -126,13 +126,22 @@ def _device(content: dict[str, Any]) -> None:
     content["CameraCalibrations"][1]["Calibrated"] = False
 
 
+def _offsets(content: dict[str, Any]) -> None:
+    for number, camera in enumerate(content["CameraCalibrations"]):
+        camera["TimeOffsetSec_Device_Camera"] = 0.05 * number
+
+
 def _clocks(content: dict[str, Any]) -> None:
     content["cam0"]["timeshift_cam_imu"], content["cam1"]["timeshift_cam_imu"] = 0.001, 0.051
 
 
 @pytest.mark.parametrize(
     ("name", "change", "said"),
-    [("device.json", _device, "camera-rgb"), ("camchain.yaml", _clocks, r"cam0 and cam1 are 0\.05 s apart")],
+    [
+        ("device.json", _device, "camera-rgb"),
+        ("device.json", _offsets, "camera-rgb .* s apart"),
+        ("camchain.yaml", _clocks, r"cam0 and cam1 are 0\.05 s apart"),
+    ],
 )
 def test_what_a_file_says_against_itself_is_told(
     tmp_path: Path, name: str, change: Callable[[dict[str, Any]], None], said: str

@@ -119,17 +119,21 @@ def lens(third: float = 1 / 3) -> OCamCamera:
     )
 
 
-def test_polynomials_of_two_lenses_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("numbers", "other", "told"),
+    [
+        ("157.1", "197.1", "the direct and the inverse polynomial contradict"),
+        ("157.1", "-157.1", "the direct and the inverse polynomial contradict"),
+        ("0.0025 ", "2.5 ", "the direct and the inverse polynomial contradict"),
+        ("4 -100", "3 -100", "announces 3 coefficients but holds 4"),
+    ],
+)
+def test_polynomials_of_two_lenses_are_refused(tmp_path: Path, numbers: str, other: str, told: str) -> None:
     path = tmp_path / "lens.txt"
     save_camera(lens(), path, format="ocamcalib")
-    text = path.read_text()
-    for changed, told in (
-        (text.replace("157.1", "197.1"), "the direct and the inverse polynomial contradict"),
-        (text.replace("4 -100", "3 -100"), "announces 3 coefficients but holds 4"),
-    ):
-        path.write_text(changed)
-        with pytest.raises(FileFormatError, match=rf"lens\.txt.*: {told}"):
-            read_camera(path)
+    path.write_text(path.read_text().replace(numbers, other))
+    with pytest.raises(FileFormatError, match=rf"lens\.txt.*: {told}"):
+        read_camera(path)
 
 
 @pytest.mark.parametrize("names", [["cam1", "cam3"], ["front", "right"]])

@@ -69,6 +69,8 @@ REFUSED: list[tuple[Files, dict[str, Any], str, str]] = [  # files, what is give
     ({"config.yaml": TEXTS["config.yaml"]}, {"translation_unit": "cm"}, "config.yaml", "in metres by its format"),
     ({}, {}, "nothing", "no such file or folder"),
     ({}, {}, ".", "none of rig.yaml, sensor.yaml, calibration.json"),
+    ({f"{k}/cameras.txt": "" for k in "01"}, {}, ".", "there are 0/cameras.txt, 1/cameras.txt; name"),
+    ({f"transforms_{k}.json": sample("transforms.json") for k in ("a", "b")}, {}, ".", "transforms_b.json; name"),
     ({"other.yaml": {"a": 1}}, {}, "other.yaml", "not a calibration; known are"),
     ({"torn.json": '{"value0": '}, {}, "torn.json", "not valid json"),
     ({"torn.yaml": "a: [1, 2"}, {}, "torn.yaml", "not valid YAML"),

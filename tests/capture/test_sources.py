@@ -85,6 +85,19 @@ def as_counted_files(folder: Path, moments: Moments) -> str:
     return f"{folder}/{{camera}}/{{frame}}.png"
 
 
+def as_listed_files(folder: Path, moments: Moments, listing: str) -> str:
+    """Image files called by their numbers in the order of each camera, with a file of their times beside them."""
+    for camera, own in moments.items():
+        lines = ["# times"]
+        for number, moment in enumerate(own):
+            time = 1_700_000_000 * 10**9 + round(seconds(camera, moment) * 1e9)
+            write_image(folder / f"{camera}/data/{number:06d}.png", picture(moment))
+            date = f"2023-11-14 22:13:{20 + (time // 10**9) % 40:02d}.{time % 10**9:09d}"
+            lines.append(f"{time},{number:06d}.png" if listing == "data.csv" else date)
+        (folder / camera / listing).write_text("\n".join(lines))
+    return f"{folder}/{{camera}}/data/{{frame}}.png"
+
+
 def write_streams(path: Path, streams: Sequence[tuple[str, Sequence[int]]]) -> None:
     """A video with a stream for each camera, whose pictures have the times of their moments; in AVI whole steps."""
     format, codec, unit = {
@@ -139,6 +152,10 @@ def as_bag(folder: Path, moments: Moments, stamped: bool = True, received: bool 
 SOURCES: dict[str, Writer] = {
     "files called by time": as_files,
     "files called by number": as_counted_files,
+    "files that data.csv lists": lambda folder, moments: as_listed_files(folder, moments, "data.csv"),
+    "files that timestamps.txt lists": lambda folder, moments: as_listed_files(
+        folder, moments, "timestamps.txt"
+    ),
     "videos": as_videos,
     "streams": as_streams,
     "a bag": as_bag,

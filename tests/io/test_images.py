@@ -220,11 +220,22 @@ def test_images_of_many_pages_or_passes_are_refused(tmp_path: Path) -> None:
             read_image(path)
 
 
-@pytest.mark.parametrize(("brightest", "is_told"), [(1000, True), (4000, True), (200, False), (5000, False)])
-def test_sixteen_bits_of_which_some_are_unused_are_asked_about(
-    tmp_path: Path, brightest: int, is_told: bool
+@pytest.mark.parametrize(
+    ("kind", "brightest", "is_told"),
+    [
+        (np.uint16, 1000, True),
+        (np.uint16, 4000, True),
+        (np.uint16, 200, False),
+        (np.uint16, 5000, False),
+        (np.uint8, 1, True),
+        (np.uint8, 2, False),
+        (np.uint8, 0, False),
+    ],
+)
+def test_images_of_which_most_values_are_unused_are_asked_about(
+    tmp_path: Path, kind: type[np.unsignedinteger], brightest: int, is_told: bool
 ) -> None:
-    image = np.linspace(0, brightest, 48).astype(np.uint16).reshape(6, 8)
+    image = np.linspace(0, brightest, 48).astype(kind).reshape(6, 8)
     write_pages(tmp_path / "a.png", [image])
     rig = ring_rig(2, image_size=(6, 8))
     for read in (

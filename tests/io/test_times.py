@@ -25,6 +25,12 @@ SPELLINGS: dict[str, Callable[[int], str]] = {  # of whole microseconds since 19
     "a phone's date": lambda time: (
         f"PXL_{strftime('%Y%m%d_%H%M%S', gmtime(time // 10**6))}{time // 1000 % 1000:03d}"
     ),
+    "a date": lambda time: (
+        f"{strftime('%Y-%m-%d %H:%M:%S', gmtime(time // 10**6))}.{time % 10**6 * 1000:09d}"
+    ),
+    "a date in a name": lambda time: (
+        f"{strftime('%Y-%m-%dT%H-%M-%S', gmtime(time // 10**6))}_{time % 10**6:06d}Z"
+    ),
     "after a word": lambda time: f"cloud_{time // 10**6}_{time % 10**6 * 1000:09d}",
 }
 
@@ -59,6 +65,7 @@ def test_names_are_in_the_order_of_times_or_else_of_numbers(names: list[str]) ->
 def test_words_tell_no_time_and_small_numbers_may_be_counts() -> None:
     assert seconds(["left", "a_b", "", "12", "0.5", "-3"]) == [None, None, None, 12.0, 0.5, -3.0]
     no_times = ["frame_12", "1920_1080", "pano_1920_1080", "IMG_20240131_235959", "03_000012"]
+    no_times += ["IMG_20240131_235959_001"]  # the first of a second
     assert seconds(no_times) == [None] * len(no_times)
     for dates in (["20240131_235958", "20240131_235959"], ["20240131235959", "20240131235958123"]):
         assert seconds(dates) == [None, None]

@@ -18,6 +18,7 @@ from sphericalvision.cameras.calibration.parsing import FARTHEST, check_radius, 
 from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, short_repr
+from sphericalvision.io.times import SAME_TIME
 
 SHORTEST, LONGEST = 0.02, 100.0
 """Focal lengths in longer sides of the image: a lens of 280° has 0.2, a telescope 50."""
@@ -55,9 +56,12 @@ class Contents:
     world_from_camera: Tensor | None = None
     """(n, 4, 4), float64, metres."""
     masks: Mapping[str, Tensor] = field(default_factory=dict)
+    delays: Mapping[str, float] = field(default_factory=dict)
+    """Seconds by which clocks of cameras differ from that of the device."""
 
     def checked(self, path: Path) -> Contents:
-        """The same, with a warning of numbers that would make sense in another unit or for another size of image.
+        """The same, with a warning of numbers that would make sense in another unit or for another size of image, and
+        of cameras whose clocks differ.
 
         Raises:
             FileFormatError: a position is farther away than any place on Earth.
@@ -65,6 +69,13 @@ class Contents:
         if self.world_from_camera is not None and (self.world_from_camera[:, :3, 3].abs() > FARTHEST).any():
             raise FileFormatError(
                 f"{path}: a camera is more than {FARTHEST:g} m from the origin; expected metres"
+            )
+        slow, fast = (choose(self.delays, key=self.delays.get, default="") for choose in (min, max))
+        if slow and (gap := self.delays[fast] - self.delays[slow]) > SAME_TIME:
+            warnings.warn(
+                f"{path}: the clocks of {slow} and {fast} are {gap:.3g} s apart; images are paired by times as they "
+                "are: correct these, or the calibration",
+                stacklevel=5,
             )
         lenses: dict[int, tuple[str, Camera]] = {}
         for name, camera in self.cameras.items():
@@ -174,6 +185,7 @@ class Gathered:
         self.options = options
         self.cameras: dict[str, Camera] = {}
         self._poses: list[Tensor] = []
+        self._delays: dict[str, float] = {}
         self.masks: dict[str, Tensor] = {}
         self._lenses: dict[int, tuple[Camera, Camera]] = {}
 
@@ -185,6 +197,7 @@ class Gathered:
         pose: Float[Tensor, "4 4"] | None = None,
         max_angle: float | None = None,
         mask: Bool[Tensor, "h w"] | None = None,
+        delay: float | None = None,
     ) -> Gathered:
         """Add a camera.
 
@@ -196,6 +209,7 @@ class Gathered:
             max_angle: half the field of view that the file tells; what the caller says counts before it, and without
                 either the camera sees what its image shows.
             mask: that shows how far the camera sees.
+            delay: seconds by which the camera's clock differs from that of the device, if the file tells it.
 
         Raises:
             FileFormatError: there is a camera of this name, or it sees nothing.
@@ -210,13 +224,15 @@ class Gathered:
             self._poses.append(pose)
         if mask is not None:
             self.masks[name] = mask
+        if delay is not None:
+            self._delays[name] = delay
         return self
 
     @property
     def contents(self) -> Contents:
         """All of them, with poses if each has one."""
         poses = torch.stack(self._poses) if 0 < len(self._poses) == len(self.cameras) else None
-        return Contents(self.cameras, poses, self.masks)
+        return Contents(self.cameras, poses, self.masks, self._delays)
 
 
 def joined(parts: list[tuple[Path, Contents]]) -> Contents:

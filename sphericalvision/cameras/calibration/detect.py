@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
+import itertools
 import re
+import warnings
+from collections.abc import Sequence
 from contextlib import nullcontext, suppress
 from pathlib import Path
 
@@ -218,12 +221,29 @@ def _calibration_files(path: Path) -> list[Path]:
             if format.files_of_rig and (parts := format.files_of_rig(path)):
                 matches.append([path, *parts])
     if not matches:
-        hint = "; ocam*.txt are there, but no poses.txt" if any(path.glob("ocam*.txt")) else ""
-        raise MissingFileError(f"{path}: none of {', '.join(usual)} in this folder{hint}; {known_formats()}")
+        if similar := _similar(path, usual, ("*/", "")) or [file.name for file in path.glob("ocam*.txt")]:
+            raise MissingFileError(
+                f"{path}: no calibration has its usual name in this folder (poses.txt, of ocam*.txt), but there are "
+                f"{', '.join(similar)[:200]}; name the one to read"
+            )
+        raise MissingFileError(f"{path}: none of {', '.join(usual)} in this folder; {known_formats()}")
     if len(matches) > 1:
         names = [str((files[1] if files[0] == path else files[0]).relative_to(path)) for files in matches]
         raise ArgumentError(
             f"path: {path} holds {' and '.join(names)}, which may differ in scale; name the one to read, or move the "
             "others"
         )
+    names = [file.name for file in matches[0] if file != path]
+    if copies := _similar(path, names):
+        warnings.warn(
+            f"{path}: {names[0]} is read, and not {', '.join(copies)[:200]}; name one", stacklevel=5
+        )
     return matches[0]
+
+
+def _similar(folder: Path, names: Sequence[str], parents: Sequence[str] = ("",)) -> list[str]:
+    """Files of a folder that are called as one of ``names`` and something more; of those in it, so or without more."""
+    files = []
+    for name, parent in itertools.product(map(Path, names), parents):
+        files += folder.glob(f"{parent}{name.stem}{'*' if parent else '?*'}{name.suffix}")
+    return sorted({str(file.relative_to(folder)) for file in files})

@@ -13,7 +13,6 @@ References:
 from __future__ import annotations
 
 import re
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +31,6 @@ from sphericalvision.cameras.calibration.parsing import (
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import invert_transform
-from sphericalvision.io.times import SAME_TIME
 from sphericalvision.io.yaml_files import write_yaml
 
 _LENSES = (
@@ -67,20 +65,9 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     chain = [content.inner(name) for name in names]
     cameras = [_camera(values) for values in chain]
     calibration, poses = Gathered(options), _poses(chain, names, path)
-    shifts = {
-        n: v.number("timeshift_cam_imu")
-        for n, v in zip(names, chain, strict=True)
-        if "timeshift_cam_imu" in v
-    }
-    if shifts and (gap := max(shifts.values()) - min(shifts.values())) > SAME_TIME:
-        warnings.warn(
-            f"{path}, timeshift_cam_imu: the clocks of {min(shifts, key=shifts.__getitem__)} and "
-            f"{max(shifts, key=shifts.__getitem__)} are {gap:.3g} s apart; images are paired by times as they are: "
-            "correct these, or the calibration",
-            stacklevel=5,
-        )
     for name, values, camera, pose in zip(names, chain, cameras, poses, strict=True):
-        calibration.add(name, camera, values.where, pose)
+        delay = values.number("timeshift_cam_imu") if "timeshift_cam_imu" in values else None
+        calibration.add(name, camera, values.where, pose, delay=delay)
     return calibration.contents
 
 

@@ -110,8 +110,10 @@ def check_inverse(camera: OCamCamera, where: str) -> OCamCamera:
     u = camera.principal_point[0] + torch.linspace(-half, half, 33, dtype=torch.float64)
     pixels = torch.stack((u, camera.principal_point[1].expand_as(u)), -1)
     directions, valid = camera.unproject(pixels)
-    back, seen = camera.project(directions)
-    off = float(torch.where(valid & seen, (back - pixels).norm(dim=-1), 0.0).max())
+    back = camera.project(
+        directions
+    ).pixels  # where the inverse polynomial is below 0, too, which is not seen
+    off = float(torch.where(valid, (back - pixels).norm(dim=-1), 0.0).max())
     if off > 0.05 * camera.image_size[1]:
         raise FileFormatError(
             f"{where}: the direct and the inverse polynomial contradict each other by {off:.0f} pixels; are they of "

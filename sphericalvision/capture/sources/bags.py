@@ -117,10 +117,10 @@ class Bag(Recording):
         topics: Mapping[str, str] | None = None,
     ) -> None:
         self.path = path
-        damaged: Counter[str] = Counter()
+        faults: Counter[tuple[str, str]] = Counter()
         with self._reader() as reader:
             self.topics = _topics(self._pictured(reader), whole.names, rig.names, topics or {}, path)
-            stamps, messages = self._index(reader, rig.names, damaged)
+            stamps, messages = self._index(reader, rig.names, faults)
         received = {
             name: {key: message.time for key, message in own.items()} for name, own in messages.items()
         }
@@ -144,9 +144,9 @@ class Bag(Recording):
             )
         if gap is None and moments.clock == 0 and (drift := _drift(stamps, received, tolerance)):
             moments.warnings.insert(0, f"images: {path}: {drift}")
-        for name, count in damaged.items():
+        for (name, fault), count in faults.items():
             moments.warnings.append(
-                f"images: {path}: {count} damaged message(s) of {self.topics[name]} are left out"
+                f"images: {path}: {count} {fault} message(s) of {self.topics[name]} are left out"
             )
         if moments.clock is not None:
             names = clocks[moments.clock][1][rig.names[0]]
@@ -208,13 +208,14 @@ class Bag(Recording):
                 yield connection.topic, time, None
 
     def _index(
-        self, reader: Any, names: Sequence[str], damaged: Counter[str]
+        self, reader: Any, names: Sequence[str], faults: Counter[tuple[str, str]]
     ) -> tuple[dict[str, dict[str, int | None]], dict[str, dict[str, Message]]]:
         """Stamp and message of every image: camera -> its number in its topic -> nanoseconds, and where it is."""
         cameras = {self.topics[name]: name for name in names}
         stamps: dict[str, dict[str, int | None]] = {name: {} for name in names}
         messages: dict[str, dict[str, Message]] = {name: {} for name in names}
         before: Counter[tuple[str, int]] = Counter()
+        last: dict[str, tuple[int, Picture]] = {}
         with self._own_words():
             used = [connection for connection in reader.connections if connection.topic in cameras]
             for topic, time, content in self._messages(reader, used):
@@ -222,12 +223,17 @@ class Bag(Recording):
                 message = Message(time, before[name, time])
                 before[name, time] += 1
                 if content is None:
-                    damaged[name] += 1
+                    faults[name, "damaged"] += 1
                     continue
+                stamp = 10**9 * content.header.stamp.sec + content.header.stamp.nanosec
+                is_known = name in last and last[name][0] == stamp != 0
+                if is_known and np.array_equal(last[name][1], content.data):
+                    faults[name, "repeated"] += 1
+                    continue
+                last[name] = stamp, content.data
                 number = f"{len(messages[name]):06d}"
                 messages[name][number] = message
-                stamp = content.header.stamp
-                stamps[name][number] = 10**9 * stamp.sec + stamp.nanosec or None  # which drivers leave at 0
+                stamps[name][number] = stamp or None  # which drivers leave at 0
         return stamps, messages
 
     def sizes(self) -> dict[str, tuple[int, int]]:

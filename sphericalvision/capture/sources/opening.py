@@ -171,11 +171,12 @@ def _of_folder(folder: Path, opening: _Opening) -> Source:
             names = ", ".join(sorted(file.name for file in previews)[:4])
             warnings.warn(f"images: {folder}: previews are left out ({names})", stacklevel=3)
         return source
+    examples = {file.suffix: str(file.relative_to(folder)) for file in sorted(files, reverse=True)}.values()
     raise MissingFileError(
         f"images: {folder} holds no images or videos of all {len(opening.rig)} cameras "
-        f"({', '.join(opening.rig.names)}); tried {', '.join(LAYOUTS)} with the suffixes "
-        f"{', '.join(sorted({file.suffix for file in files})) or '(no files)'}. Give a pattern, "
-        f"images='{folder}/cam{{camera}}/{{frame}}.png'"
+        f"({', '.join(opening.rig.names)}), called as {', '.join(LAYOUTS)} (videos without {{frame}}), but "
+        f"{', '.join(examples) or 'no files'}. Give a pattern, such as images='{folder}/{{camera}}/{{frame}}.png' or "
+        f"images='{folder}/{{camera}}/video.mp4'"
     )
 
 

@@ -11,9 +11,12 @@ from pathlib import Path
 
 from sphericalvision.capture.sources.moments import Clock, Moments, pair_moments
 from sphericalvision.core import ArgumentError, MissingFileError
+from sphericalvision.io.files import read_text
 from sphericalvision.io.times import SAME_TIME, are_counts, in_order, seconds
 
 EXAMPLE = "'capture/cam{camera}/{frame:05d}.png'"
+LISTINGS = ("data.csv", "timestamps.txt")
+"""Files that tell when the images of a camera were taken: EuRoC's and KITTI's."""
 _NUMBER = re.compile(r"^-?\d+(?:\.\d+)*|\d+(?:\.\d+)*")
 """In a frame's name; a time with decimals is one."""
 
@@ -31,7 +34,8 @@ def find_files(
 
     ``{camera}`` stands for a label of ``find_labels``. ``{frame}`` stands for the frame, with a width if it has one
     (``{frame:05d}``); it may be missing when there is one frame only. Frames of equal names belong together; where
-    cameras have other names and all are times, those within ``tolerance``, called as the first camera's.
+    cameras have other names and all are times, or where names are numbers and a file beside the images tells the times
+    of each camera's (``LISTINGS``), those within ``tolerance``, called as the first camera's.
 
     Args:
         pattern: of the files.
@@ -118,9 +122,13 @@ def _several_kinds(pattern: str, name: str, other: str) -> str:
 
 
 def _clocks(files: Mapping[str, Mapping[str, Path]]) -> list[Clock]:
-    """The times that names tell, where cameras have other names and these are no counts."""
+    """The times of images: of counts those in files beside them, of others those in names where names differ."""
     names = list(set().union(*files.values()))
-    if all(len(own) == len(names) for own in files.values()) or are_counts(names):
+    if are_counts(names):
+        listed = {c: times for c, own in files.items() if (times := _listed_times(own)) is not None}
+        is_listed = len(listed) == len(files) > 1
+        return [Clock(f"the times in {' or '.join(LISTINGS)} beside them", listed)] if is_listed else []
+    if all(len(own) == len(names) for own in files.values()):
         return []
     times = dict(zip(names, seconds(names), strict=True))
     if all(time is None for time in times.values()):
@@ -130,6 +138,28 @@ def _clocks(files: Mapping[str, Mapping[str, Path]]) -> list[Clock]:
             "the times in their names", {c: {name: times[name] for name in own} for c, own in files.items()}
         )
     ]
+
+
+def _listed_times(files: Mapping[str, Path]) -> dict[str, float | None] | None:
+    """Name of an image -> seconds, as a file beside the images of a camera or beside their folder tells them, if any.
+
+    A line has a time and the image's file, or it is the time of the image of its number, counted from 0 or 1.
+    """
+    folder = next(iter(files.values())).parent
+    listing = next((f for p in (folder, folder.parent) for n in LISTINGS if (f := p / n).is_file()), None)
+    if listing is None:
+        return None
+    lines = [line.strip() for line in read_text(listing).splitlines()]
+    lines = [line for line in lines if line and not line.startswith("#")]
+    named = {Path(words[1].strip()).name: words[0] for line in lines if len(words := line.split(",")) > 1}
+    first = int(max(map(int, files)) == len(lines))
+    numbered = {str(number): line for number, line in enumerate(lines, start=first)}
+    texts = [
+        named.get(file.name, "") if named else numbered.get(str(int(name)), "")
+        for name, file in files.items()
+    ]
+    listed = iter(seconds([text for text in texts if text]))
+    return {name: next(listed) if text else None for name, text in zip(files, texts, strict=True)}
 
 
 def find_labels(

@@ -237,7 +237,7 @@ def _as_tensor(name: str, image: Any) -> Tensor:
             'image.convert("RGB")'
         )
     array = image if isinstance(image, Tensor) else np.asarray(image)
-    kind = str(array.dtype).removeprefix("torch.")
+    kind = str(getattr(array.dtype, "name", array.dtype)).removeprefix("torch.")  # in either order of bytes
     bits = kind.removeprefix("uint") if kind.startswith("uint") else None
     if bits is None and "float" not in kind:
         raise ArgumentError(f"images[{name!r}]: expected uint8, uint16 or float in [0, 1], got {array.dtype}")

@@ -72,6 +72,7 @@ REFUSED: list[tuple[Files, dict[str, Any], str, str]] = [  # files, what is give
     ({f"{k}/cameras.txt": "" for k in "01"}, {}, ".", "there are 0/cameras.txt, 1/cameras.txt; name"),
     ({f"transforms_{k}.json": sample("transforms.json") for k in ("a", "b")}, {}, ".", "transforms_b.json; name"),
     ({"other.yaml": {"a": 1}}, {}, "other.yaml", "not a calibration; known are"),
+    ({"factory_calibration.json": "{}"}, {}, ".", "there are factory_calibration.json; name"),
     ({"torn.json": '{"value0": '}, {}, "torn.json", "not valid json"),
     ({"torn.yaml": "a: [1, 2"}, {}, "torn.yaml", "not valid YAML"),
     ({"camera.xml": "<?xml version='1.0'?><settings/>"}, {}, "camera.xml", "not a calibration"),
@@ -129,6 +130,14 @@ def test_what_makes_no_rig_is_refused(
 def test_identifiers_that_all_differ_or_agree_are_names(tmp_path: Path, key: str) -> None:
     for values in ("1111", "1234"):
         assert len(read_rig(write(tmp_path, split_by(key, values)) / "transforms.json")) == 4
+
+
+@pytest.mark.parametrize("name", ["rig (1).yaml", "rig.yml", "rig_old.yaml"])
+def test_a_copy_of_a_calibration_is_told(tmp_path: Path, name: str) -> None:
+    for file in ("rig.yaml", name):
+        write(tmp_path, {file: sample("rig.yaml")})
+    with pytest.warns(UserWarning, match=rf"rig\.yaml is read, and not {re.escape(name)}"):
+        read_rig(tmp_path)
 
 
 def test_one_of_several_cameras_is_read_by_name(tmp_path: Path) -> None:

@@ -165,17 +165,14 @@ def test_a_stamp_that_was_not_set_is_no_time(tmp_path: Path) -> None:
     assert source.names(Selection()) == [str(TIME + step * 10**8) for step in range(1, 19)]
 
 
-def test_a_message_that_was_recorded_twice_is_one_and_it_is_told(tmp_path: Path) -> None:
+@pytest.mark.parametrize("later", [10**6, 10**10])
+def test_a_message_that_was_recorded_twice_is_one_and_it_is_told(tmp_path: Path, later: int) -> None:
+    """By two recorders at once, or in bags that were joined."""
     messages = [
-        (
-            f"/{name}/image",
-            TIME + step * 10**8,
-            TIME + step * 10**8 + again * 10**6,
-            np.full_like(PICTURE, step),
-        )
+        (f"/{name}/image", TIME + step * 10**8, TIME + step * 10**8 + again, np.full_like(PICTURE, step))
         for step in range(4)
         for name in RIG.names
-        for again in (0, 1)
+        for again in (0, later)
     ]
     with pytest.warns(UserWarning, match=r"4 repeated message\(s\) of /cam1/image"):
         source = open_source(str(write_bag(tmp_path / "run", messages)), RIG)

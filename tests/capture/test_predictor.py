@@ -85,6 +85,7 @@ def test_it_is_the_network_on_images_on_the_sphere(rig: CameraRig, images: Image
         lambda image: (image.movedim(0, -1) * 255).round().byte().numpy(),
         lambda image: (image * 255).round().byte(),
         lambda image: (image.movedim(0, -1).double() * 65535).round().numpy().astype(np.uint16),
+        lambda image: (image.double() * 65535).round().numpy().astype(">u2"),
         lambda image: torch.cat((image, torch.zeros(1, *SIZE))),  # alpha is dropped
         lambda image: image.double().numpy()[:, ::-1][:, ::-1],  # strides that torch does not take
     ],

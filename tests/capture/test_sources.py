@@ -210,6 +210,20 @@ def test_selected_and_wanted_frames_are_those_of_all(tmp_path: Path, write: Writ
         source.names(Selection(12))
 
 
+@pytest.mark.parametrize("missing", ["cam2/timestamps.txt", None])
+def test_times_beside_images_of_which_some_are_missing_do_not_count(
+    tmp_path: Path, missing: str | None
+) -> None:
+    images = as_listed_files(tmp_path, EVERYTHING, "timestamps.txt")
+    if missing:
+        (tmp_path / missing).unlink()
+    else:
+        (tmp_path / "cam2/timestamps.txt").write_text("2023-11-14 22:13:20.000000000\n")
+    source, told = opened(images)
+    assert len(source.names(Selection()) or ()) == 10
+    assert [("of cam2 have no time" in sentence) for sentence in told] == [True]
+
+
 @pytest.mark.parametrize("write", [as_files, as_videos, as_streams, as_bag])
 def test_what_keeps_images_apart_is_told(tmp_path: Path, write: Writer) -> None:
     """Cameras are 2 and 4 ms apart."""

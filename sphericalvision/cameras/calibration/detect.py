@@ -193,6 +193,9 @@ def _likely_program(path: Path) -> str:
     return "not a calibration"
 
 
+_TEXTS = (".json", ".jsonl", ".txt", ".xml", ".yaml", ".yml")
+
+
 def _check_unit(path: Path, format: FileFormat, options: Options) -> None:
     if format.tells_unit and options.translation_unit not in (None, "m"):
         raise ArgumentError(
@@ -221,7 +224,8 @@ def _calibration_files(path: Path) -> list[Path]:
             if format.files_of_rig and (parts := format.files_of_rig(path)):
                 matches.append([path, *parts])
     if not matches:
-        if similar := _similar(path, usual, ("*/", "")) or [file.name for file in path.glob("ocam*.txt")]:
+        texts = sorted(file.name for file in path.iterdir() if file.suffix in _TEXTS)
+        if similar := _similar(path, usual, ("*/", "")) or texts:
             raise MissingFileError(
                 f"{path}: no calibration has its usual name in this folder (poses.txt, of ocam*.txt), but there are "
                 f"{', '.join(similar)[:200]}; name the one to read"
@@ -242,8 +246,12 @@ def _calibration_files(path: Path) -> list[Path]:
 
 
 def _similar(folder: Path, names: Sequence[str], parents: Sequence[str] = ("",)) -> list[str]:
-    """Files of a folder that are called as one of ``names`` and something more; of those in it, so or without more."""
-    files = []
-    for name, parent in itertools.product(map(Path, names), parents):
-        files += folder.glob(f"{parent}{name.stem}{'*' if parent else '?*'}{name.suffix}")
-    return sorted({str(file.relative_to(folder)) for file in files})
+    """Files of a folder that are called as one of ``names`` and something more, or as another kind of text."""
+    files = {
+        str(file.relative_to(folder))
+        for parent, name in itertools.product(parents, map(Path, names))
+        for file in folder.glob(f"{parent}{name.stem}*")
+        if (file.suffix == name.suffix or (file.stem == name.stem and file.suffix in _TEXTS))
+        and not (file.parent == folder and file.name in names)
+    }
+    return sorted(files)

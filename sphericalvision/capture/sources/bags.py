@@ -215,7 +215,7 @@ class Bag(Recording):
         stamps: dict[str, dict[str, int | None]] = {name: {} for name in names}
         messages: dict[str, dict[str, Message]] = {name: {} for name in names}
         before: Counter[tuple[str, int]] = Counter()
-        last: dict[str, tuple[int, Picture]] = {}
+        read: set[tuple[str, int, int]] = set()
         with self._own_words():
             used = [connection for connection in reader.connections if connection.topic in cameras]
             for topic, time, content in self._messages(reader, used):
@@ -226,11 +226,12 @@ class Bag(Recording):
                     faults[name, "damaged"] += 1
                     continue
                 stamp = 10**9 * content.header.stamp.sec + content.header.stamp.nanosec
-                is_known = name in last and last[name][0] == stamp != 0
-                if is_known and np.array_equal(last[name][1], content.data):
+                step = max(1, len(content.data) // 4096)  # noise differs everywhere
+                picture = name, stamp, hash(content.data[::step].tobytes())
+                if stamp and picture in read:
                     faults[name, "repeated"] += 1
                     continue
-                last[name] = stamp, content.data
+                read.add(picture)
                 number = f"{len(messages[name]):06d}"
                 messages[name][number] = message
                 stamps[name][number] = stamp or None  # which drivers leave at 0

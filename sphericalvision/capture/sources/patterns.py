@@ -125,9 +125,13 @@ def _clocks(files: Mapping[str, Mapping[str, Path]]) -> list[Clock]:
     """The times of images: of counts those in files beside them, of others those in names where names differ."""
     names = list(set().union(*files.values()))
     if are_counts(names):
-        listed = {c: times for c, own in files.items() if (times := _listed_times(own)) is not None}
-        is_listed = len(listed) == len(files) > 1
-        return [Clock(f"the times in {' or '.join(LISTINGS)} beside them", listed)] if is_listed else []
+        listed = {camera: _listed_times(own) for camera, own in files.items()} if len(files) > 1 else {}
+        times = {camera: own or dict.fromkeys(files[camera]) for camera, own in listed.items()}
+        return (
+            [Clock(f"the times in {' or '.join(LISTINGS)} beside them", times)]
+            if any(listed.values())
+            else []
+        )
     if all(len(own) == len(names) for own in files.values()):
         return []
     times = dict(zip(names, seconds(names), strict=True))

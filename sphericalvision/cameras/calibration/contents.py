@@ -70,7 +70,7 @@ class Contents:
             raise FileFormatError(
                 f"{path}: a camera is more than {FARTHEST:g} m from the origin; expected metres"
             )
-        slow, fast = (choose(self.delays, key=self.delays.get, default="") for choose in (min, max))
+        slow, fast = (choose(self.delays, key=self.delays.__getitem__, default="") for choose in (min, max))
         if slow and (gap := self.delays[fast] - self.delays[slow]) > SAME_TIME:
             warnings.warn(
                 f"{path}: the clocks of {slow} and {fast} are {gap:.3g} s apart; images are paired by times as they "

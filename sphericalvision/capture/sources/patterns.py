@@ -126,12 +126,10 @@ def _clocks(files: Mapping[str, Mapping[str, Path]]) -> list[Clock]:
     names = list(set().union(*files.values()))
     if are_counts(names):
         listed = {camera: _listed_times(own) for camera, own in files.items()} if len(files) > 1 else {}
-        times = {camera: own or dict.fromkeys(files[camera]) for camera, own in listed.items()}
-        return (
-            [Clock(f"the times in {' or '.join(LISTINGS)} beside them", times)]
-            if any(listed.values())
-            else []
-        )
+        if not any(listed.values()):
+            return []
+        complete = {camera: own or dict.fromkeys(files[camera]) for camera, own in listed.items()}
+        return [Clock(f"the times in {' or '.join(LISTINGS)} beside them", complete)]
     if all(len(own) == len(names) for own in files.values()):
         return []
     times = dict(zip(names, seconds(names), strict=True))

@@ -77,11 +77,19 @@ def no_more_threads_than_cores() -> Iterator[None]:
     if threads <= cores or "OMP_NUM_THREADS" in os.environ:
         yield
         return
-    torch.set_num_threads(cores)
+    with threads_of_torch(cores):
+        yield
+
+
+@contextmanager
+def threads_of_torch(number: int) -> Iterator[None]:
+    """Let torch have a number of threads for a while."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(number)
     try:
         yield
     finally:
-        torch.set_num_threads(threads)
+        torch.set_num_threads(before)
 
 
 class Predictor:
@@ -357,7 +365,9 @@ class Predictor:
             if self._pipeline is None:
                 if self.min_depth is None and colors is not None:
                     self._begin_at(self._nearest.in_frames(frames_of(colors), self.rig))
-                self._pipeline = Pipeline(self._network, self.rig, self._precision)
+                # Its loops are many and short: threads of them would wait for each other longer than they compute.
+                with threads_of_torch(1):
+                    self._pipeline = Pipeline(self._network, self.rig, self._precision)
             return self._pipeline
 
 

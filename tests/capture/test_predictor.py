@@ -215,25 +215,32 @@ def test_calls_run_side_by_side_where_there_are_cores_for_both(
     assert torch.equal(found[0].index, found[1].index)
 
 
-def test_a_call_takes_no_more_threads_than_the_process_has_cores(
+def test_a_call_takes_no_more_threads_than_the_process_has_cores_and_tables_take_one(
     rig: CameraRig, images: Images, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Counting(SemiGlobalSweep):
+        def tables(self, rig: CameraRig) -> Any:
+            of_tables.append(torch.get_num_threads())
+            return super().tables(rig)
+
         def predict(self, *arguments: Any) -> DepthEstimate:
             counts.append(torch.get_num_threads())
             return super().predict(*arguments)
 
     counts: list[int] = []
+    of_tables: list[int] = []
     monkeypatch.setattr("sphericalvision.capture.predictor.available_cores", lambda: 1)
-    predictor = Predictor(rig, Counting(3, 8), min_depth=0.5)
+    predictor, other = (Predictor(rig, Counting(3, 8), min_depth=0.5) for _ in range(2))
     with threads_kept():
         torch.set_num_threads(2)
         monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
         predictor(images)
         assert torch.get_num_threads() == 2
         monkeypatch.setenv("OMP_NUM_THREADS", "2")
-        predictor(images)
+        other(images)
+        assert torch.get_num_threads() == 2
     assert counts == [1, 2]
+    assert of_tables == [1, 1]
 
 
 def test_what_a_first_call_makes_can_be_trained(rig: CameraRig, images: Images) -> None:

@@ -16,9 +16,9 @@ from pathlib import Path
 SPIN = "10000"
 """Rounds for which a thread of libgomp looks for work before it sleeps, some hundred microseconds; its own choice is
 300,000, three milliseconds. A frame has thousands of short parallel loops: where another process holds a core, each of
-them would end with three milliseconds of waiting. On two cores, with 1,000, 10,000, 20,000 and 300,000, a frame took
-0.85, 0.76, 0.74 and 0.77 times as long as by one thread on idle ones, 1.27, 1.13, 1.01 and 1.6 times next to two busy
-processes, and the first frame there 0.9, 1.0, 1.6 and 9 times. To sleep at once costs idle cores most of their gain."""
+them would end with three milliseconds of waiting. On two cores (AVX2; four images of 512 x 512), with 1,000, 10,000,
+20,000 and, in a run of its own, 300,000, a frame took 0.85, 0.76, 0.74 and 0.77 times as long as by one thread on idle
+ones, 1.27, 1.13, 1.01 and 1.6 times next to two busy processes, and the first frame there 0.9, 1.0, 1.6 and 9 times."""
 
 WAITING = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT", "KMP_BLOCKTIME")
 """Variables by which a user says how threads wait."""

@@ -14,7 +14,7 @@ from annotated_types import MinLen
 from joblib import Parallel, delayed
 from pydantic.dataclasses import dataclass
 
-from sphericalvision.capture.estimating import threads_kept
+from sphericalvision.capture.predictor import threads_kept
 from sphericalvision.core import FileFormatError
 from sphericalvision.io.images import as_bytes, write_image
 from sphericalvision.recipes.app.checks import flat

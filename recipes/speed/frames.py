@@ -15,7 +15,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Predictor
-from sphericalvision.capture.estimating import threads_kept
+from sphericalvision.capture.predictor import threads_kept
 from sphericalvision.capture.preparation.preparation import AS_IT_IS
 from sphericalvision.recipes.app.checks import typed
 from sphericalvision.recipes.commands.predict import PredictConfig, predictor_for

@@ -16,7 +16,7 @@ from typing import Any, Literal, NamedTuple, TypeVar
 import torch
 
 from sphericalvision.capture.hints import CarriedDepth, Hint, with_hint
-from sphericalvision.capture.predictor import Predictor
+from sphericalvision.capture.predictor import Predictor, threads_kept
 from sphericalvision.capture.result import Depth
 from sphericalvision.capture.sources.frames import Frame, Selection, Source
 from sphericalvision.core import ArgumentError, FileFormatError
@@ -235,13 +235,3 @@ def ordered_map(
             yield futures.popleft().result()
     finally:
         pool.shutdown(cancel_futures=failed or not finish)
-
-
-@contextlib.contextmanager
-def threads_kept() -> Iterator[int]:
-    """Give back to torch the number of threads that it has here, whatever threads within ask for; yields it."""
-    count = torch.get_num_threads()
-    try:
-        yield count
-    finally:
-        torch.set_num_threads(count)

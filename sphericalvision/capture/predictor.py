@@ -77,19 +77,19 @@ def no_more_threads_than_cores() -> Iterator[None]:
     if threads <= cores or "OMP_NUM_THREADS" in os.environ:
         yield
         return
-    with threads_of_torch(cores):
+    with threads_kept():
+        torch.set_num_threads(cores)
         yield
 
 
 @contextmanager
-def threads_of_torch(number: int) -> Iterator[None]:
-    """Let torch have a number of threads for a while."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(number)
+def threads_kept() -> Iterator[int]:
+    """Give back to torch the number of threads that it has here, whatever threads within ask for; yields it."""
+    count = torch.get_num_threads()
     try:
-        yield
+        yield count
     finally:
-        torch.set_num_threads(before)
+        torch.set_num_threads(count)
 
 
 class Predictor:
@@ -366,7 +366,8 @@ class Predictor:
                 if self.min_depth is None and colors is not None:
                     self._begin_at(self._nearest.in_frames(frames_of(colors), self.rig))
                 # Its loops are many and short: threads of them would wait for each other longer than they compute.
-                with threads_of_torch(1):
+                with threads_kept():
+                    torch.set_num_threads(1)
                     self._pipeline = Pipeline(self._network, self.rig, self._precision)
             return self._pipeline
 

@@ -21,8 +21,8 @@ from sphericalvision import Predictor
 from sphericalvision.cameras import CameraRig, PinholeCamera, ring_rig
 from sphericalvision.capture import Depth
 from sphericalvision.capture import predictor as predictor_module
-from sphericalvision.capture.estimating import threads_kept
 from sphericalvision.capture.export import RigProgram
+from sphericalvision.capture.predictor import threads_kept
 from sphericalvision.capture.preparation.nearest import frames_of
 from sphericalvision.capture.preparation.preparation import Preparation
 from sphericalvision.core import ArgumentError

@@ -19,9 +19,10 @@ import torch
 
 from sphericalvision.cameras import ring_rig
 from sphericalvision.capture import Depth, calibrate_photometry
-from sphericalvision.capture.estimating import ahead, ordered_map, threads_kept
+from sphericalvision.capture.estimating import ahead, ordered_map
 from sphericalvision.capture.outputs import Outputs
 from sphericalvision.capture.panoramas import Panoramas
+from sphericalvision.capture.predictor import threads_kept
 from sphericalvision.capture.preparation.preparation import Compensation
 from sphericalvision.capture.result_folder import Settings
 from sphericalvision.capture.sources.frames import Selection

@@ -28,6 +28,8 @@ from mkdocs.exceptions import PluginError
 from mkdocs.plugins import event_priority
 from mkdocs.utils import get_relative_url
 
+import programs
+
 QUALITY = 90
 """Of pictures in pages, as WebP files."""
 
@@ -53,11 +55,17 @@ def on_config(config: Any) -> None:
 
 
 def on_files(files: Any, config: object) -> None:
-    """One page of all, if the environment names it: its links lead nowhere then, and it is there in seconds."""
+    """Start the programs of all pages, or of one, if the environment names it: its links lead nowhere then."""
     page = os.environ.get("PAGE")
     for file in files.documentation_pages() if page else []:
         if file.src_uri != page:
             files.remove(file)
+    programs.start(files)
+
+
+def on_build_error(error: Exception) -> None:
+    """What is not needed any more does not run."""
+    programs.stop()
 
 
 def on_pre_build(config: object) -> None:
@@ -139,6 +147,7 @@ def of_repository(name: str) -> str:
 
 def on_page_markdown(markdown: str, page: Any, **_: object) -> str:
     """Weigh the page for the search, and read it where it is a file of the repository."""
+    programs.wait_for(page.file.src_uri)
     boost = next(
         (
             value

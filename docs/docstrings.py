@@ -261,6 +261,8 @@ class Docstrings(griffe.Extension):
                 "__init__",
                 parameters=griffe.Parameters(self_parameter, *parameters),
                 docstring=None,
+                lineno=cls.lineno,  # its source is the declaration
+                endlineno=cls.endlineno,
             ),
         )
         if cls.docstring and "Args:" not in cls.docstring.value:

@@ -182,16 +182,6 @@ def calls_of(program: str, *words: str) -> dict[str, int]:
     return {str(Path(file).relative_to(ROOT)): int(calls) for calls, file in counts if file.startswith(ours)}
 
 
-def files_with(option: str) -> int:
-    """Python and YAML files of product and configurations that state an option or ask for it."""
-    stated = rf"""(?<![-\w.]){option}\b["']?\s*[:=]|\.{option}\b(?![(.])"""
-    listed = subprocess.run(
-        ["git", "grep", "-lP", stated, "--", "sphericalvision/**.py", "recipes/**.py", "conf/**.yaml"],
-        cwd=ROOT, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    return len(listed.stdout.split())
-
-
 UNSAYING = (
     "found known wanted kept there given told left tried looks said shown made taken stated asked here both part parts "
     "place places share shares turn turns near middle words? ours theirs mine beside beyond ahead apart away"
@@ -229,30 +219,39 @@ def newest_wheel() -> str:
     return f"{wheels[-1].stat().st_size / 1e6:.1f} MB" if wheels else "none built (make dist)"
 
 
+def longest_chain() -> tuple[str, ...]:
+    return max((chain(module) for module in modules()), key=len)
+
+
+def counted() -> dict[str, int]:
+    """Numbers that no program has to be run for, by their names in the table of CONTRIBUTING."""
+    return {
+        "longest chain of imports": len(longest_chain()),
+        "words of the pages": words_of_pages(),
+        "files that ask for a kernel": len(grepped(ASKING, "-l")),
+        "`mock.patch` in the product": len(grepped(r"mock\.patch")),
+        "variables whose name does not say what they hold": len(unsaying_variables()),
+    }
+
+
 def main() -> None:
-    longest = max((chain(module) for module in modules()), key=len)
     used, frame = files_of_a_frame()
     for name, value in {
         "lines of the product": f"{lines('sphericalvision', 'recipes'):,}",
         "lines of recipes": f"{lines('recipes'):,}",
         "lines of cameras and capture": f"{lines('sphericalvision/cameras', 'sphericalvision/capture'):,}",
         "lines of tests": f"{lines('tests'):,}",
-        "longest chain of imports": len(longest),
         "modules loaded with models.icosweepnet": loaded("sphericalvision.models.icosweepnet"),
         "modules loaded with sphericalvision-train": loaded(TRAIN),
         "files that a prediction runs": len(used),
         "files that a frame passes": len(frame),
         "files of a training sample to its loss": len(files_of_a_sample()),
-        **{f"files with the option {option!r}": files_with(option) for option in ("photometric", "align")},
-        "words of the pages": f"{words_of_pages():,}",
-        "files that ask for a kernel": len(grepped(ASKING, "-l")),
-        "mock.patch in the product": len(grepped(r"mock\.patch")),
-        "variables that do not say what they hold": len(unsaying_variables()),
+        **{name: f"{number:,}" for name, number in counted().items()},
         "wheel": newest_wheel(),
     }.items():
-        print(f"{name:42} {value:>9}")
+        print(f"{name:50} {value:>9}")
     if "--chain" in sys.argv:
-        print("\nThe longest chain:", *longest, sep="\n  ")
+        print("\nThe longest chain:", *longest_chain(), sep="\n  ")
         print("\nThe files of a frame:", *frame, sep="\n  ")
         print("\nThe other files of a prediction:", *sorted(set(used) - set(frame)), sep="\n  ")
 

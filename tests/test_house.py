@@ -7,26 +7,15 @@ Every import counts for circles: at the top of a file, inside functions, and for
 from __future__ import annotations
 
 import ast
+import re
 import tomllib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-from tests.house_numbers import lines
+from tests.house_numbers import counted, lines, modules
 
 ROOT = Path(__file__).resolve().parents[1]
-TREES = {"sphericalvision": ROOT / "sphericalvision", "sphericalvision.recipes": ROOT / "recipes"}
-
-
-@cache
-def modules() -> dict[str, Path]:
-    """Every file of the package by the name of its module."""
-    found = {}
-    for package, folder in TREES.items():
-        for path in folder.rglob("*.py"):
-            parts = path.relative_to(folder).with_suffix("").parts
-            found[".".join((package, *(part for part in parts if part != "__init__")))] = path
-    return found
 
 
 @cache
@@ -160,3 +149,11 @@ def test_the_house_does_not_grow() -> None:
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["sphericalvision"]["house"]
     assert lines("sphericalvision", "recipes") <= settings["product_lines"]
     assert lines("tests") <= settings["test_lines"]
+
+
+def test_the_numbers_of_contributing_hold() -> None:
+    table = (ROOT / "CONTRIBUTING.md").read_text().partition("## Numbers of the house")[2]
+    wanted = dict(re.findall(r"^\| ([^|]+) \|.* \| ([\d,]+) \|$", table, re.MULTILINE))
+    assert not {
+        name: number for name, number in counted().items() if number > int(wanted[name].replace(",", ""))
+    }

@@ -68,7 +68,7 @@ format: $(VENV)/.installed-all ## rewrite the code in the project's style
 	@$(BIN)/ruff format .
 
 docs: $(VENV)/.installed-all ## build the documentation into site/; a warning is an error; PAGE=guide/crown.md builds one page alone
-	@NO_MKDOCS_2_WARNING=1 GOMP_SPINCOUNT=10000 PAGE=$(PAGE) $(BIN)/mkdocs build $(if $(PAGE),--quiet,--strict) --clean
+	@NO_MKDOCS_2_WARNING=1 PAGE=$(PAGE) $(BIN)/mkdocs build $(if $(PAGE),--quiet,--strict) --clean
 
 house: $(VENV)/.installed-recipes ## how long, wide and deep the code is; ARGS=--chain lists the chain and the files of a frame
 	@$(BIN)/python -m tests.house_numbers $(ARGS)

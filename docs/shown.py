@@ -35,8 +35,6 @@ QUALITY = 90
 
 SYNONYM_BOOST = 1000.0
 """Weight of other words for a section in the search; a title has 1000."""
-GENERATED = ("api/", "recipes/configuration")
-"""Pages whose code is in no search."""
 BEGINNING = 240
 """Letters of an entry of the API that are searched: what it is for."""
 PROGRAM = 2500
@@ -234,7 +232,7 @@ def on_post_build(config: Any, **_: object) -> None:
 def searchable(text: str, location: str) -> str:
     """An entry's text: no markup, no rows of numbers, no whole programs; of generated pages the beginning, no code."""
     for code in re.findall(r"<pre>.*?</pre>", text, flags=re.DOTALL):
-        if len(code) > PROGRAM or location.startswith(GENERATED):
+        if len(code) > PROGRAM or location.startswith("api/"):
             text = text.replace(code, " ")
     text = " ".join(re.sub(r"<[^>]*>", " ", text).split())
     text = re.sub(rf"(?<!\S){NUMBER}(?: {NUMBER})+(?!\S)", " ", text)

@@ -34,10 +34,11 @@ class SphereLookup(NamedTuple):
 
     def __call__(self, image: Tensor, fill: float = 0.5) -> Tensor:
         """Values ``(*b, c, V)`` of an image ``(*b, c, h, w)``, ``fill`` where nothing is seen."""
-        values: Tensor = self.places(self._shrunk(image))
+        values: Tensor = self.places(self.averaged(image))
         return values if fill == 0 else torch.where(self.seen.unsqueeze(-2), values, fill)
 
-    def _shrunk(self, image: Tensor) -> Tensor:
+    def averaged(self, image: Tensor) -> Tensor:
+        """The image ``(*b, c, h, w)`` that ``places`` are positions in."""
         if self.shrink == 1:
             return image
         small = F.avg_pool2d(image.reshape(-1, *image.shape[-3:]), self.shrink, ceil_mode=True)

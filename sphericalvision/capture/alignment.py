@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
@@ -17,7 +18,7 @@ from sphericalvision.capture.calibrating.direct_alignment import align_rig_direc
 from sphericalvision.capture.calibrating.turns import about_most, turned
 from sphericalvision.capture.checks import pose_agreement
 from sphericalvision.capture.preparation.photometry import averaged, reduced_rig
-from sphericalvision.capture.preparation.preparation import denoised
+from sphericalvision.capture.preparation.preparation import Compensator
 from sphericalvision.capture.result import Depth
 from sphericalvision.geometry.transforms import axis_angle_from_transform, invert_transform
 from sphericalvision.icosphere import icosphere_vertices
@@ -207,8 +208,12 @@ def _estimated(depths: Sequence[Depth]) -> RigTurns:
     rig = depths[0].rig
     pixel = min(step[0] for step in STEPS)
     better = reduced_rig(rig, pixel)
-    frames = [averaged(better, _smooth(depth, pixel)) for depth in depths]
-    images = {name: torch.stack([frame[name] for frame in frames]) for name in rig.names}
+    compensator = Compensator(rig, partial(averaged, better))
+    frames = [
+        compensator.smoothed({name: image[None] for name, image in depth.images.items()})[0]
+        for depth in depths
+    ]
+    images = {name: torch.cat([frame[name] for frame in frames]) for name in rig.names}
     agreements = []
     for pixel, blur, iterations, level in STEPS:
         directions = icosphere_vertices(level, torch.float32, rig.world_from_camera.device)
@@ -239,16 +244,6 @@ def _observability(rig: CameraRig) -> float:
     base = F.normalize((rig.positions[1] - rig.positions[0]).double(), dim=-1)
     across = F.normalize(base - rays * (rays @ base)[:, None], dim=-1)
     return max(float(torch.linalg.eigvalsh(across.mT @ across / max(len(rays), 1))[0]), 1e-6)
-
-
-def _smooth(depth: Depth, pixel: float) -> dict[str, Tensor]:
-    """Images of a frame without noise, as seen with pixels of so many radians."""
-    return {
-        name: denoised(
-            image, depth.rig.masks.get(name), max(1, int(pixel * pixels_a_radian(depth.rig.cameras[name])))
-        )
-        for name, image in depth.images.items()
-    }
 
 
 def _along(depths: Sequence[Depth], directions: Tensor) -> tuple[Tensor, Tensor]:

@@ -109,7 +109,7 @@ class RigProgram(nn.Module):
             return functional_call(self, tables, (images,))  # type: ignore[no-any-return]
         if self.inputs == "camera":
             named = dict(zip(self.intake.rig.names, images.unbind(1), strict=True))
-            images = signed(self.intake.looked_up(named), self.seen)
+            images = signed(self.intake.looked_up(self.intake.averaged(named)), self.seen)
         leaves = [getattr(self, f"table{k}") if leaf is None else leaf for k, leaf in enumerate(self.leaves)]
         with in_precision(self.precision, images.device):
             index, confidence, seen = self.net.predict(

@@ -78,7 +78,7 @@ class Pipeline:
     def __init__(self, network: DepthNetwork, rig: CameraRig, precision: str = "float32") -> None:
         self.network, self.rig, self.precision = network, rig, precision
         self.tables, self.intake = network.tables(rig), network.intake(rig)
-        self._compensator = Compensator(rig, [look.shrink for look in self.intake.lookups])
+        self._compensator = Compensator(rig, self.intake.averaged)
         if network.images == "sphere":
             vertices = icosphere_vertices(network.image_level, torch.float32, network.device)
             directions = vertices.to(rig.world_from_camera) @ rig.world_from_camera[:, :3, :3]

@@ -89,17 +89,26 @@ class Intake:
         }
         for name, image in images.items():
             check_floating(f"images[{name!r}]", image)
-        return signed(self.looked_up(images), self.seen)
+        return signed(self.looked_up(self.averaged(images)), self.seen)
+
+    def averaged(
+        self, images: Mapping[str, Shaped[Tensor, "*batch c _ _"]]
+    ) -> dict[str, Shaped[Tensor, "*batch c _ _"]]:
+        """Return the smaller images that values are looked up in, in the rig's order. Arguments as of a call."""
+        check_images_of(self.rig, images)
+        if not self.lookups:
+            return {name: images[name] for name in self.rig.names}
+        pairs = zip(self.rig.names, self.lookups, strict=True)
+        return {name: look.averaged(images[name]) for name, look in pairs}
 
     def looked_up(
-        self, images: Mapping[str, Shaped[Tensor, "*batch c _ _"]]
+        self, averaged: Mapping[str, Shaped[Tensor, "*batch c _ _"]]
     ) -> Shaped[Tensor, "*batch_and_size"]:
-        """Return the values as they are, without a change of range: a tensor of their own. Arguments as of a call."""
-        check_images_of(self.rig, images)
-        ordered = [images[name] for name in self.rig.names]
+        """Return the values of ``averaged`` images, without a change of range: a tensor of their own."""
         if not self.lookups:
-            return torch.stack(ordered, -4)
-        return torch.stack([look(image, 0) for look, image in zip(self.lookups, ordered, strict=True)], -3)
+            return torch.stack(list(averaged.values()), -4)
+        pairs = zip(self.lookups, averaged.values(), strict=True)
+        return torch.stack([look.places(image) for look, image in pairs], -3)
 
     def __repr__(self) -> str:
         return f"Intake({self.rig}, onto {tuple(self.seen.shape[1:])})"

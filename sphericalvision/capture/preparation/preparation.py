@@ -7,7 +7,7 @@ What cameras did to their images is taken out: noise, exposure, vignetting.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import NamedTuple
@@ -42,8 +42,19 @@ BRIGHT_SHARE, BRIGHT, DARK, BLACK = 0.95, 0.7, 0.2, 0.002
 there is nothing to be seen."""
 DARKEST, BRIGHTEST = 0.02, 0.98
 """Values beyond are clipped, or outside of the lens: no noise shows there."""
+WHOLE = 0.999
+"""Share of the pixels of a mean that a mask leaves, if it leaves all."""
 MOST_SAMPLES = 50_000
 """Values of an image that its noise and brightness are estimated from: to 1 % of either."""
+
+
+class _Usable(NamedTuple):
+    """Where the window of the filter sees nothing but what a mask leaves; None without a mask."""
+
+    pixels: Tensor | None
+    """Of the images ``(h, w)``."""
+    means: Tensor | None
+    """Of the averaged ones."""
 
 
 @dataclass(frozen=True)
@@ -151,14 +162,26 @@ class Compensator:
 
     Args:
         rig: unbatched.
-        shrink: sides of the squares of pixels that are averaged where the images are looked up, a camera each; 1 when
-            not given. Noise is smoothed in these means: fewer values, of less noise.
+        averaged: makes the images of the cameras smaller, by their names; without it they stay as large. Noise is
+            smoothed in what it returns: fewer values, of less noise.
     """
 
-    def __init__(self, rig: CameraRig, shrink: Sequence[int] | None = None) -> None:
-        self.rig = rig
-        self._shrink = dict(zip(rig.names, shrink or [1] * len(rig), strict=True))
-        self._usable = {name: _inside(mask, self._shrink[name]) for name, mask in rig.masks.items()}
+    def __init__(
+        self, rig: CameraRig, averaged: Callable[[Mapping[str, Tensor]], dict[str, Tensor]] = dict
+    ) -> None:
+        self.rig, self._averaged = rig, averaged
+        masks = {
+            name: torch.ones(1, *camera.image_size, device=rig.world_from_camera.device)
+            for name, camera in rig.cameras.items()
+        }
+        masks |= {name: mask[None].float() for name, mask in rig.masks.items()}
+        means = averaged(masks) if rig.masks else {}
+        self._usable = {
+            name: _Usable(_inside(rig.masks[name]), _inside(means[name][0] > WHOLE))
+            if name in rig.masks
+            else _Usable(None, None)
+            for name in rig.names
+        }
 
     @cached_property
     def photometer(self) -> Photometer:
@@ -190,11 +213,14 @@ class Compensator:
     def smoothed(
         self, images: Mapping[str, Float[Tensor, "b c _ _"]]
     ) -> tuple[dict[str, Float[Tensor, "b c _ _"]], Float[Tensor, "b n"]]:
-        """Return images without noise, and how much there was in those of each camera."""
-        names, frames = list(images), list(images.values())
-        usable, shrink = [self._usable.get(name) for name in names], [self._shrink[name] for name in names]
-        smooth, noise = _smooth_cameras(frames, usable, shrink)
-        return dict(zip(names, smooth, strict=True)), noise
+        """Return averaged images without noise, and how much there was in those of each camera."""
+        means = self._averaged(images)
+        smooth, noise = _smooth_cameras(
+            list(images.values()),
+            [means[name] for name in images],
+            [self._usable[name] for name in images],
+        )
+        return dict(zip(images, smooth, strict=True)), noise
 
     def light(self, images: Mapping[str, Float[Tensor, "*batch c _ _"]]) -> LightEstimate:
         """Return how exposure and vignetting of the cameras differ; a batch counts as one frame."""
@@ -241,70 +267,43 @@ def _spread(image: Tensor) -> Tensor:
     return image[..., ::step, ::step].detach().float().flatten(1)
 
 
-def denoised(
-    image: Float[Tensor, "*batch c h w"], usable: Bool[Tensor, "h w"] | None = None, shrink: int = 1
-) -> Float[Tensor, "*batch c h w"]:
-    """Return an image with its noise smoothed by a bilateral filter, or as it is where there is little.
+def _smoothed(image: Tensor, means: Tensor, usable: _Usable) -> tuple[Tensor, Tensor]:
+    """Means of frames ``(b, c, h, w)``, each smoothed by a bilateral filter where the frame is noisy, and the noise.
 
-    Args:
-        image: in [0, 1], of 1 or 3 channels.
-        usable: False where the image shows something else; that has no influence on the rest.
-        shrink: side of the squares of pixels that will be averaged: their means are smoothed, which costs less, and
-            what is finer stays, so that single pixels may leave [0, 1].
+    The noise is that of the frame ``(b,)``; 0 where it is little. In its means there is less, of fewer values.
 
     References:
         Tomasi, Manduchi (1998), "Bilateral filtering for gray and color images".
-
-    Examples:
-        >>> clean = torch.full((3, 64, 64), 0.5)
-        >>> noisy = clean + 0.03 * torch.randn(3, 64, 64, generator=torch.Generator().manual_seed(0))
-        >>> bool((denoised(noisy) - clean).std() < 0.5 * (noisy - clean).std()), denoised(clean).equal(clean)
-        (True, True)
     """
-    frames = image.reshape(-1, *image.shape[-3:])
-    inside = None if usable is None else _inside(usable, shrink)
-    return _smoothed(frames, inside, shrink)[0].view_as(image)
-
-
-def _smoothed(image: Tensor, inside: Tensor | None, shrink: int = 1) -> tuple[Tensor, Tensor]:
-    """Frames ``(b, c, h, w)``, each smoothed if it has to be, and the noise of those that were ``(b,)``, else 0.
-
-    ``shrink`` is that of ``denoised``.
-    """
-    noise = _noise(image.detach(), inside)
+    noise = _noise(image.detach(), usable.pixels)
     noise = noise.where(noise >= LEAST_NOISE, 0.0)
     if not needed(noise > 0):
-        return image, noise
+        return means, noise
+    shrink = image.shape[-1] / means.shape[-1]
     chosen = (noise > 0).view(-1, 1, 1, 1)
-    means = image.detach()
-    if shrink > 1:
-        means = F.avg_pool2d(means, shrink, ceil_mode=True)
-    smooth = _filtered(means, CONTRAST * noise / shrink)
-    if shrink > 1:  # on the images there are as few passes as can be: they cost more than the filter
-        change = (smooth - means).where(chosen, 0.0)
-        smooth = change.repeat_interleave(shrink, -1).repeat_interleave(shrink, -2)
-        smooth = smooth[..., : image.shape[-2], : image.shape[-1]].add_(image)
-        chosen = chosen.new_ones(())
-    if inside is not None:
-        chosen = chosen & inside
-    return smooth if shrink > 1 and inside is None else smooth.where(chosen, image), noise
+    if usable.means is not None:
+        chosen = chosen & usable.means
+    fixed = means.detach()
+    change = _filtered(fixed, CONTRAST * noise / shrink) - fixed
+    return means + change.where(chosen, 0.0), noise
 
 
 def _smooth_each(
-    images: list[Tensor], usable: list[Tensor | None], shrink: list[int]
+    images: list[Tensor], means: list[Tensor], usable: list[_Usable]
 ) -> tuple[list[Tensor], Tensor]:
-    smooth, noise = zip(*map(_smoothed, images, usable, shrink), strict=True)
+    smooth, noise = zip(*map(_smoothed, images, means, usable), strict=True)
     return list(smooth), torch.stack(noise, 1)
 
 
 def _smooth_together(
-    images: list[Tensor], usable: list[Tensor | None], shrink: list[int]
+    images: list[Tensor], means: list[Tensor], usable: list[_Usable]
 ) -> tuple[list[Tensor], Tensor]:
     """Smooth the images of cameras that are alike in one batch: a quarter of the operations, if there are four."""
-    alike = len(set(shrink)) == 1 and all(image.shape == images[0].shape for image in images)
-    if not alike or any(mask is not None for mask in usable):
+    alike = all(image.shape == images[0].shape for image in images)
+    alike = alike and all(image.shape == means[0].shape for image in means)
+    if not alike or any(mask.pixels is not None for mask in usable):
         return NotImplemented
-    smooth, noise = _smoothed(torch.cat(images), None, shrink[0])
+    smooth, noise = _smoothed(torch.cat(images), torch.cat(means), usable[0])
     return list(smooth.split(len(images[0]))), noise.view(len(images), -1).mT
 
 
@@ -376,12 +375,9 @@ _bilateral = Operator(_bilateral_by_shifts, triton=_bilateral_in_triton)
 _filtered = Operator(bilateral, cpu=_filtered_by_opencv)
 
 
-def _inside(usable: Tensor, shrink: int = 1) -> Tensor:
+def _inside(usable: Tensor) -> Tensor:
     """Pixels of which the whole window is usable: True where the filter sees nothing else."""
-    side = (
-        WINDOW + 1
-    ) * shrink - 1  # from the last pixel of a square to the first of the window's first square
-    kernel = np.ones((side, side), np.uint8)
+    kernel = np.ones((WINDOW, WINDOW), np.uint8)
     eroded = cv2.erode(usable.cpu().numpy().astype(np.uint8), kernel)
     return torch.from_numpy(eroded.astype(bool)).to(usable.device)
 

@@ -16,7 +16,6 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 SUFFIXES = (".py", ".cpp", ".h")
-TRAIN = "sphericalvision.recipes.commands.train"
 FRAMES = """
 import sys, threading
 from collections import Counter
@@ -145,17 +144,6 @@ def chain(module: str) -> tuple[str, ...]:
     return (module, *max((chain(other) for other in sorted(top_level_imports(module))), key=len, default=()))
 
 
-def loaded(module: str) -> int:
-    """How many modules of the package are loaded after one was imported."""
-    program = (
-        f"import sys, {module}; print(sum(name.split('.')[0] == 'sphericalvision' for name in sys.modules))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    return int(done.stdout.split()[-1])
-
-
 def files_of_a_sample() -> list[str]:
     """Files of the product whose functions run between the seed of a training sample and its loss."""
     return sorted(calls_of(SAMPLE))
@@ -238,11 +226,7 @@ def main() -> None:
     used, frame = files_of_a_frame()
     for name, value in {
         "lines of the product": f"{lines('sphericalvision', 'recipes'):,}",
-        "lines of recipes": f"{lines('recipes'):,}",
-        "lines of cameras and capture": f"{lines('sphericalvision/cameras', 'sphericalvision/capture'):,}",
         "lines of tests": f"{lines('tests'):,}",
-        "modules loaded with models.icosweepnet": loaded("sphericalvision.models.icosweepnet"),
-        "modules loaded with sphericalvision-train": loaded(TRAIN),
         "files that a prediction runs": len(used),
         "files that a frame passes": len(frame),
         "files of a training sample to its loss": len(files_of_a_sample()),

@@ -91,6 +91,20 @@ def test_cameras_are_shown_with_their_own_constructor(monkeypatch: pytest.Monkey
     assert "focal_length: ``(*, 2)``, (fx, fy), pixels, above 0." in camera.docstring.value
 
 
+def test_programs_of_a_page_share_a_session_and_fail_as_a_whole(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    pytest.importorskip("markdown_exec")
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    monkeypatch.chdir(tmp_path)
+    import programs
+
+    fence = '```python exec="true" session="a"\n'
+    text = f'{fence}x = 1\n```\n{fence}print(x, 2, sep="-")\n```\n'
+    assert programs.outputs(text) == {("a", "x = 1"): "", ("a", 'print(x, 2, sep="-")'): "1-2\n"}
+    assert programs.outputs(text.replace("x = 1", "y = 1")) == {}
+
+
 def test_every_page_is_in_the_navigation() -> None:
     """No page is written and then forgotten."""
     listed = set(re.findall(r": (\S+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE))

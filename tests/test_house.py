@@ -11,11 +11,8 @@ import re
 import tomllib
 from collections.abc import Iterator
 from functools import cache
-from pathlib import Path
 
-from tests.house_numbers import counted, lines, modules
-
-ROOT = Path(__file__).resolve().parents[1]
+from tests.house_numbers import ROOT, counted, lines, modules
 
 
 @cache

@@ -61,6 +61,7 @@ def start(files: Any) -> None:
         for file in files.documentation_pages()
         if PROGRAM.search(text := Path(file.abs_src_path).read_text())
     }
+    PRINTED.clear()
     if texts:
         pool = ProcessPoolExecutor(
             min(4, os.cpu_count() or 1, len(texts)),

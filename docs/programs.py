@@ -35,7 +35,6 @@ run_now = formatters["python"]
 
 def outputs(text: str) -> dict[tuple[str, str], str]:
     """Run the programs of a page in an empty folder, and return what they print; nothing, if one of them raises."""
-    torch.set_num_threads(1)  # each core has a page
     torch.manual_seed(0)  # whatever page this process had before
     os.chdir(tempfile.mkdtemp())
     sys.modules["page"] = ModuleType("page")  # dataclasses look there
@@ -54,6 +53,12 @@ def outputs(text: str) -> dict[tuple[str, str], str]:
     return result
 
 
+def begin_process() -> None:
+    """Each core has a page; Ctrl-C ends them all."""
+    torch.set_num_threads(1)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def start(files: Any) -> None:
     """Begin with the programs of the pages, in the order in which MkDocs reads them."""
     texts = {
@@ -68,8 +73,7 @@ def start(files: Any) -> None:
             multiprocessing.get_context(
                 "fork" if sys.platform == "linux" else "spawn"
             ),
-            signal.signal,  # Ctrl-C ends them, too
-            (signal.SIGINT, signal.SIG_DFL),
+            begin_process,
         )
         for page, text in texts.items():
             STARTED[page] = pool.submit(outputs, text)

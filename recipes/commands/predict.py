@@ -19,6 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, Trajectory, read_rig, save_rig
+from sphericalvision.cameras.calibration.parsing import PLAUSIBLE
 from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.cameras.robot_frame import placed, tilt_of
 from sphericalvision.cameras.trajectory import upright_turn
@@ -97,8 +98,6 @@ BASIS = "made_from"
 """Key in ``config.yaml``: identities of the rig, the trajectory and the network, whose paths alone say little."""
 LYING = math.radians(45)
 """Angle between the cameras' mean down and the world's from which on a warning is printed."""
-PLAUSIBLE = (0.005, 5.0)
-"""Metres: radii of windows, as of rigs; of others the poses have another unit."""
 INVERTED = 1.05
 """Ratio of agreements from which on a trajectory seems to be inverted: of a walk straight ahead it is 1.11, of one with
 turns 1.8."""

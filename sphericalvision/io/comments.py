@@ -22,11 +22,11 @@ def warn_of_comments(path: Path, lines: Iterable[str], expected: Mapping[str, st
 
     Args:
         path: of the file, for the message.
-        lines: from its beginning, of text; ``#``, ``//``, ``%`` and ``comment`` begin a comment.
+        lines: from its beginning, of text; ``#``, ``//``, ``%`` and ``comment`` and ``obj_info`` begin a comment.
         expected: regular expression of what a comment says otherwise -> what is expected in its place.
     """
     for number, line in zip(range(1, FIRST + 1), lines, strict=False):
-        match = re.match(r"[^#/%]*(?:#|//|%)(.*)|comment\b(.*)", line[:FIRST])
+        match = re.match(r"[^#/%]*(?:#|//|%)(.*)|(?:comment|obj_info)\b(.*)", line[:FIRST])
         comment = (match[1] or match[2] or "").strip() if match else ""
         for pattern, convention in expected.items():
             if re.search(pattern, comment, re.IGNORECASE):

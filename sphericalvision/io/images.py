@@ -27,6 +27,9 @@ MAX_PIXELS = 2**27
 MAX_PAGES = 256
 """Of an image file: of a film of tiny pages each takes time, whatever its size."""
 
+MAX_LABELS = 32
+"""Different values of a mask that may be labels; a soft or noisy border has more."""
+
 MAX_SCANS = 200
 """Of a JPEG, each of which passes over the whole image; programs write about ten."""
 
@@ -143,7 +146,7 @@ def read_mask(
     Raises:
         MissingFileError: there is no such file.
         FileFormatError: the file is not readable, is no 8- or 16-bit image, has another size, leaves nothing, or is
-            neither black nor white.
+            neither black nor white, as labels are.
 
     Examples:
         >>> write_pages("mask.png", [np.array([[0, 1, 1]], np.uint8)])
@@ -152,9 +155,10 @@ def read_mask(
     """
     check_choice("usable", usable, ("white", "black"))
     page = _first_page(path, image_size, what)
-    if page.ndim == 3 and page.shape[-1] == 4 and page[..., 3].min() < page[..., 3].max():
+    is_color = page.ndim == 3
+    if is_color and page.shape[-1] == 4 and page[..., 3].min() < page[..., 3].max():
         page = page[..., 3]
-    elif page.ndim == 3:
+    elif is_color:
         page = cv2.cvtColor(_to_rgb(page), cv2.COLOR_RGB2GRAY)
     white = next(level for level in (1, 255, 65535) if page.max(initial=0) <= level)
     mask = (page > white // 2) == (usable == "white")
@@ -162,6 +166,13 @@ def read_mask(
         raise FileFormatError(
             f"{path}: the mask leaves nothing of the image, or has no white; {what} has to be {usable} where images "
             "are usable"
+        )
+    levels, counts = np.unique(page, return_counts=True)
+    labels = levels[(levels > 0) & (levels <= white // 16) & (counts > page.size / 100)]
+    if not is_color and len(levels) <= MAX_LABELS and len(labels):
+        raise FileFormatError(
+            f"{path}: expected black and white, got labels ({', '.join(map(str, levels))}); {what} has to be {usable} "
+            "where images are usable"
         )
     return torch.from_numpy(mask)
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -24,6 +25,7 @@ from sphericalvision.cameras import (
 from sphericalvision.cameras.calibration.keys import with_keys
 from sphericalvision.core import FileFormatError
 from tests.cameras.calibration_samples import TEXTS, dump, sample
+from tests.cameras.test_format_rigs import VINS
 
 LENS = PinholeCamera([300.0, 300.0], [319.5, 239.5], (480, 640))
 
@@ -113,6 +115,8 @@ def test_numbers_of_calibrations_have_bounds(tmp_path: Path) -> None:
         ("SIMPLE_PINHOLE 640 480 4.2 320 240", "focal length .*millimetres"),
         ("PINHOLE 640 480 400 4000 320 240", "focal length "),
         ("SIMPLE_RADIAL 640 480 400 320 240 -380", "another unit"),
+        ("OPENCV_FISHEYE 640 480 400 400 320 240 50 0 0 0", "another model"),
+        ("PINHOLE 640 480 400 320 400 240", "numbers exchanged"),
     ):
         (tmp_path / "cameras.txt").write_text(f"1 {lens}\n")
         with pytest.warns(UserWarning, match=f"cam1: .*{doubt}"):
@@ -135,12 +139,21 @@ def _clocks(content: dict[str, Any]) -> None:
     content["cam0"]["timeshift_cam_imu"], content["cam1"]["timeshift_cam_imu"] = 0.001, 0.051
 
 
+def _native_clocks(content: dict[str, Any]) -> None:
+    content["cameras"][0]["time_offset_ns"], content["cameras"][1]["time_offset_ns"] = 0, 30_000_000
+
+
 @pytest.mark.parametrize(
     ("name", "change", "said"),
     [
         ("device.json", _device, "camera-rgb"),
-        ("device.json", _offsets, "camera-rgb .* s apart"),
-        ("camchain.yaml", _clocks, r"cam0 and cam1 are 0\.05 s apart"),
+        (
+            "device.json",
+            _offsets,
+            r"CameraCalibrations\[\d\], TimeOffset.* s apart|s apart .*CameraCalibrations",
+        ),
+        ("camchain.yaml", _clocks, r"0\.05 s apart .*cam0, timeshift_cam_imu, and .*cam1"),
+        ("rig.yaml", _native_clocks, "time_offset_ns"),
     ],
 )
 def test_what_a_file_says_against_itself_is_told(
@@ -153,6 +166,33 @@ def test_what_a_file_says_against_itself_is_told(
             read_rig(dump(tmp_path / name, content)).names
             == read_rig(dump(tmp_path / name, sample(name))).names
         )
+
+
+def test_an_empty_place_of_a_sensor_is_none(tmp_path: Path) -> None:
+    empty = '<rotation fixed="true"/><location fixed="true"/></sensor>'
+    text = re.sub(r"(?s)(<sensor id=\"0\".*?)</sensor>", rf"\1{empty}", TEXTS["chunk.xml"], count=1)
+    assert empty in text
+    rigs = [read_rig(dump(tmp_path / "chunk.xml", content)) for content in (text, TEXTS["chunk.xml"])]
+    assert torch.equal(rigs[0].world_from_camera, rigs[1].world_from_camera)
+
+
+def test_shots_of_opensfm_are_where_their_rigs_are(tmp_path: Path) -> None:
+    content = sample("reconstruction.json")
+    content["rig_cameras"] = {"r": {"rotation": [0, 0, 0], "translation": [0.1, 0, 0]}}
+    content["rig_instances"] = {
+        "0": {"rotation": [0, math.pi / 2, 0], "translation": [0, 0, 2], "rig_camera_ids": {"a.001.jpg": "r"}}
+    }
+    moved = read_rig(dump(tmp_path / "reconstruction.json", content))
+    as_shot = read_rig(dump(tmp_path / "reconstruction.json", sample("reconstruction.json")))
+    assert moved.positions[0].tolist() == pytest.approx([2, 0, -0.1], abs=1e-6)
+    assert torch.equal(moved.world_from_camera[1:], as_shot.world_from_camera[1:])
+
+
+def test_poses_of_vins_that_are_a_first_guess_are_told(tmp_path: Path) -> None:
+    for name, content in VINS.items():
+        dump(tmp_path / name, content | {"estimate_extrinsic": 2} if name == "estimator.yaml" else content)
+    with pytest.warns(UserWarning, match="estimate_extrinsic: 2"):
+        read_rig(tmp_path / "estimator.yaml")
 
 
 def test_a_mask_of_all_frames_is_no_key_of_the_file(tmp_path: Path) -> None:

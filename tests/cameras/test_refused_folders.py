@@ -14,6 +14,7 @@ from sphericalvision.cameras import CameraRig, convert, read_camera, read_rig, r
 from sphericalvision.core import ArgumentError, SphericalVisionError
 from tests.cameras.calibration_samples import KALIBR, TEXTS, dump, sample
 from tests.cameras.test_format_rigs import (
+    HALVES,
     KITTI360,
     MEI,
     MULTICOL,
@@ -66,6 +67,8 @@ REFUSED: list[tuple[Files, dict[str, Any], str, str]] = [  # files, what is give
     (OCAM | {"poses.txt": "# translation_unit: inch\n" + POSES_CM}, {}, ".", "poses.txt: translation_unit: expected"),
     (OCAM | {"poses.txt": POSES_CM, "config.yaml": TEXTS["config.yaml"]}, {"translation_unit": "cm"}, ".",
      "poses.txt and config.yaml, which may differ in scale; name the one to read"),
+    (HALVES | {"extrinsics.yml": HALVES["extrinsics.yml"] | {"D1": [0.1]}}, {"translation_unit": "m"}, ".",
+     "different values of D1"),
     ({"config.yaml": TEXTS["config.yaml"]}, {"translation_unit": "cm"}, "config.yaml", "in metres by its format"),
     ({}, {}, "nothing", "no such file or folder"),
     ({}, {}, ".", "none of rig.yaml, sensor.yaml, calibration.json"),
@@ -102,6 +105,7 @@ REFUSED: list[tuple[Files, dict[str, Any], str, str]] = [  # files, what is give
     ({"rig.yaml": MASKED}, {}, "rig.yaml", "front.png: no such file"),
     (vins(cam1_calib="other.yaml"), {}, "estimator.yaml", "other.yaml"),
     (vins(cam1_calib="note.yaml"), {}, "estimator.yaml", "estimator.yaml names it for cam1"),
+    ({"s.yaml": sample("settings_pinhole.yaml") | {"Camera.bFishEye": 1}}, {}, "s.yaml", "bFishEye"),
     (vins(cam0_calib=3), {}, "estimator.yaml", "estimator.yaml, cam0_calib: expected the name of a file"),
     ({"a.xml": UNUSED.replace("</cameras>", f"{PHOTO}</cameras>")}, {}, "a.xml", "camera 'pano': expected a sensor"),
     ({"a.xml": TEXTS["chunk.xml"].replace("</cameras>", GROUP)}, {}, "a.xml", "'DSC_1': a second camera has"),

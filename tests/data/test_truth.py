@@ -216,7 +216,7 @@ def test_arrays_that_are_no_scans_are_refused(
         ("a.csv", "// positions in millimetres\nx,y,z\n"),
         (
             "A.PLY",
-            "ply\nformat ascii 1.0\ncomment unit: mm\nelement vertex 1\n"
+            "ply\nformat ascii 1.0\nobj_info units = mm\nelement vertex 1\n"
             + "".join(f"property float {axis}\n" for axis in "xyz")
             + "end_header\n",
         ),

@@ -174,6 +174,9 @@ def test_masks_come_back_and_are_true_from_half_white(tmp_path: Path) -> None:
         cv2.imwrite(str(tmp_path / "nothing.png"), np.full((2, 2), level, np.uint8))
         with pytest.raises(FileFormatError, match=rf"nothing\.png: the mask leaves nothing .* {usable}"):
             read_mask(tmp_path / "nothing.png", usable=usable)  # type: ignore[arg-type]
+    cv2.imwrite(str(tmp_path / "labels.png"), np.array([[1, 1, 255]], np.uint8))
+    with pytest.raises(FileFormatError, match=r"labels\.png: expected black and white"):
+        read_mask(tmp_path / "labels.png")
     with pytest.raises(FileFormatError, match=r"mask\.png: expected 5 x 7 .* got 7 x 5"):
         read_mask(tmp_path / "mask.png", (7, 5))
     with pytest.raises(MissingFileError, match="a mask image expected"):

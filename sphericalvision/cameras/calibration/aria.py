@@ -54,11 +54,7 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
         size = options.image_size or next(sizes, None)
         size = size or options.given_size(f"{projection.where} of {label!r}")
         camera = lens.camera(numbers, size, projection.where)
-        pose, delay = (
-            _pose(values.inner("T_Device_Camera")),
-            values.number("TimeOffsetSec_Device_Camera", 0.0),
-        )
-        calibration.add(label, camera, values.where, pose, delay=delay)
+        calibration.add(label, camera, values.where, _pose(values.inner("T_Device_Camera")))
         if not values.get("Calibrated", True):
             nominal.append(label)
     if nominal:

@@ -25,7 +25,7 @@ from sphericalvision.cameras.calibration.contents import Contents, Gathered, Opt
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys, check_understood
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called
-from sphericalvision.cameras.calibration.ocam_text import make_ocam
+from sphericalvision.cameras.calibration.ocam_text import make_ocam_of_columns
 from sphericalvision.cameras.calibration.poses import transform_from_rows
 from sphericalvision.cameras.calibration.text_files import data_lines, load_keys
 from sphericalvision.core import FileFormatError, MissingFileError
@@ -87,16 +87,9 @@ def _ocam(values: Keys) -> Camera:
     polynomial, affine = values.inner("poly_parameters"), values.inner("affine_parameters")
     direct = [polynomial.number(f"p{power}") for power in range(5)]
     ac, ad, ae, cx, cy = (affine.number(key) for key in ("ac", "ad", "ae", "cx", "cy"))
-    if not 1e-3 < ac < 1e3:  # it is a share of two sides of a pixel
-        raise FileFormatError(f"{affine.at('ac')}: expected a number about 1, got {ac:g}")
-    return make_ocam(
-        [len(direct), *(value * ac ** (1 - power) for power, value in enumerate(direct))],
-        None,  # inv_poly_parameters are a fit to what is inverted exactly here
-        [cy, cx],
-        [1 / ac, ae / ac, ad / ac],
-        [*values.size("image_width", "image_height")],
-        values.where,
-    )
+    size = values.size("image_width", "image_height")
+    # inv_poly_parameters are a fit to what is inverted exactly here
+    return make_ocam_of_columns(direct, None, [cx, cy], [ac, ad, ae], size, affine.where)
 
 
 def camera_in(file: Path) -> Camera:

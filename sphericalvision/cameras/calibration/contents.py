@@ -6,24 +6,34 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.parsing import FARTHEST, check_radius, errors_of_file
+from sphericalvision.cameras.calibration.parsing import (
+    FARTHEST,
+    METRES_PER_UNIT,
+    check_radius,
+    errors_of_file,
+)
 from sphericalvision.cameras.calibration.visible_part import bounded
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import ArgumentError, FileFormatError, short_repr
-from sphericalvision.io.times import SAME_TIME
+from sphericalvision.core import ArgumentError, FileFormatError, check_choice, short_repr
 
 SHORTEST, LONGEST = 0.02, 100.0
 """Focal lengths in longer sides of the image: a lens of 280° has 0.2, a telescope 50."""
 LEAST_SQUARE = 3.0
 """How many times longer than the other a focal length may be: anamorphic lenses have 2."""
+SQUARE = 1.1
+"""The same of pixels that are nearly square."""
+MOST_STRETCHED = 1.5
+"""How many times farther from the middle than a lens without distortion one may show a border."""
 NEAR_AXIS = 1e-4
 """Tangent of the angle from the axis at which focal lengths are measured."""
 LEAST_REACH = 0.05
@@ -47,6 +57,21 @@ class Options:
             raise ArgumentError(f"image_size: {where} does not tell {keys}; pass image_size=(height, width)")
         return self.image_size
 
+    def metres(self, where: str, keys: str, stated: Any = None) -> float:
+        """Metres in the unit of ``keys`` of the file at ``where``: what it states itself, or what the caller says."""
+        unit = stated or self.translation_unit
+        if self.rig and self.translation_unit not in (None, unit):
+            raise ArgumentError(
+                f"translation_unit: {where} says {unit!r:.80} itself, got {self.translation_unit!r}; leave it out"
+            )
+        if unit is None:
+            raise ArgumentError(
+                f"translation_unit: {where} does not tell the unit of {keys}; pass 'm', 'cm' or 'mm'"
+            )
+        with errors_of_file(where) if stated else nullcontext():
+            check_choice("translation_unit", unit, tuple(METRES_PER_UNIT))
+        return METRES_PER_UNIT[unit]
+
 
 @dataclass(frozen=True)
 class Contents:
@@ -56,12 +81,9 @@ class Contents:
     world_from_camera: Tensor | None = None
     """(n, 4, 4), float64, metres."""
     masks: Mapping[str, Tensor] = field(default_factory=dict)
-    delays: Mapping[str, float] = field(default_factory=dict)
-    """Seconds by which clocks of cameras differ from that of the device."""
 
     def checked(self, path: Path) -> Contents:
-        """The same, with a warning of numbers that would make sense in another unit or for another size of image, and
-        of cameras whose clocks differ.
+        """The same, with a warning of numbers that would make sense in another unit or for another size of image.
 
         Raises:
             FileFormatError: a position is farther away than any place on Earth.
@@ -69,13 +91,6 @@ class Contents:
         if self.world_from_camera is not None and (self.world_from_camera[:, :3, 3].abs() > FARTHEST).any():
             raise FileFormatError(
                 f"{path}: a camera is more than {FARTHEST:g} m from the origin; expected metres"
-            )
-        slow, fast = (choose(self.delays, key=self.delays.__getitem__, default="") for choose in (min, max))
-        if slow and (gap := self.delays[fast] - self.delays[slow]) > SAME_TIME:
-            warnings.warn(
-                f"{path}: the clocks of {slow} and {fast} are {gap:.3g} s apart; images are paired by times as they "
-                "are: correct these, or the calibration",
-                stacklevel=5,
             )
         lenses: dict[int, tuple[str, Camera]] = {}
         for name, camera in self.cameras.items():
@@ -141,9 +156,13 @@ def _doubts(camera: Camera) -> list[str]:
     rays = torch.tensor([[0.0, 0.0, 1.0], [NEAR_AXIS, 0.0, 1.0], [0.0, NEAR_AXIS, 1.0]], dtype=torch.float64)
     pixels, valid = camera.project(rays)
     center = getattr(camera, "principal_point", None)
+    low = high = 1.0
     if bool(valid.all()):
         lengths = ((pixels[1:] - pixels[0]).norm(dim=-1) / NEAR_AXIS).tolist()
         low, high = min(lengths), max(lengths)
+        border = torch.stack((pixels.new_tensor(width - 1.0), pixels[0, 1]))
+        (x, _, z), seen = camera.unproject(border)
+        stretch = float(border[0] - pixels[0, 0]) / lengths[0] * float(z / x)
         if low <= SHORTEST * longest or high >= LONGEST * longest or high > LEAST_SQUARE * low:
             sentences.append(
                 f"the focal length {low:.4g} to {high:.4g} is implausible for an image of {width} x {height} (width x "
@@ -154,14 +173,19 @@ def _doubts(camera: Camera) -> list[str]:
                 f"its model ends {math.degrees(camera.max_angle):.2g}° from the axis, far inside the image; are the "
                 "coefficients of the distortion those of another model, or of another unit?"
             )
+        elif bool(seen) and stretch > MOST_STRETCHED:
+            sentences.append(
+                f"its model stretches the border of the image {stretch:.2g} times; are the coefficients of the "
+                "distortion those of another model?"
+            )
     if center is not None:
         u, v = center.tolist()
         off, turned = (max(abs(u / w - 0.5), abs(v / h - 0.5)) for w, h in ((width, height), (height, width)))
-        if off > 0.24 or off > 0.08 > 4 * turned:
+        if off > 0.24 or off > 0.08 > 4 * turned or (off > 0.08 and high > SQUARE * low):
             exchanged = ", or are width and height exchanged" if turned < off else ""
             sentences.append(
                 f"the principal point ({u:.1f}, {v:.1f}) is far from the middle of its image, {width} x {height} "
-                f"(width x height); is the calibration for another size{exchanged}?"
+                f"(width x height); is the calibration for another size{exchanged}, or are numbers exchanged?"
             )
     return sentences
 
@@ -185,7 +209,6 @@ class Gathered:
         self.options = options
         self.cameras: dict[str, Camera] = {}
         self._poses: list[Tensor] = []
-        self._delays: dict[str, float] = {}
         self.masks: dict[str, Tensor] = {}
         self._lenses: dict[int, tuple[Camera, Camera]] = {}
 
@@ -197,7 +220,6 @@ class Gathered:
         pose: Float[Tensor, "4 4"] | None = None,
         max_angle: float | None = None,
         mask: Bool[Tensor, "h w"] | None = None,
-        delay: float | None = None,
     ) -> Gathered:
         """Add a camera.
 
@@ -209,7 +231,6 @@ class Gathered:
             max_angle: half the field of view that the file tells; what the caller says counts before it, and without
                 either the camera sees what its image shows.
             mask: that shows how far the camera sees.
-            delay: seconds by which the camera's clock differs from that of the device, if the file tells it.
 
         Raises:
             FileFormatError: there is a camera of this name, or it sees nothing.
@@ -224,15 +245,13 @@ class Gathered:
             self._poses.append(pose)
         if mask is not None:
             self.masks[name] = mask
-        if delay is not None:
-            self._delays[name] = delay
         return self
 
     @property
     def contents(self) -> Contents:
         """All of them, with poses if each has one."""
         poses = torch.stack(self._poses) if 0 < len(self._poses) == len(self.cameras) else None
-        return Contents(self.cameras, poses, self.masks, self._delays)
+        return Contents(self.cameras, poses, self.masks)
 
 
 def joined(parts: list[tuple[Path, Contents]]) -> Contents:

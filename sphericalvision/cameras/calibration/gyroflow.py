@@ -18,6 +18,7 @@ from sphericalvision.cameras.calibration.contents import Contents, Gathered, Opt
 from sphericalvision.cameras.calibration.formats import FileFormat, has_all, register_format
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import distorted
+from sphericalvision.cameras.calibration.parsing import camera_matrix
 from sphericalvision.core import FileFormatError
 
 
@@ -33,11 +34,11 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
             raise FileFormatError(f"{content.at(key)}: expected none, got {content[key]!r:.80}")
     lens = content.inner("fisheye_params")
     height, width = size = content.inner("calib_dimension").size("w", "h")
-    fx, skew, cx, _, fy, cy, *_ = lens.matrix("camera_matrix", 9)
+    plane, skew = camera_matrix(lens.matrix("camera_matrix", 9), lens.at("camera_matrix"), has_skew=True)
     if content.get("asymmetrical") is not True:
-        cx, cy = width / 2, height / 2
-    numbers = [fx, fy, cx, cy, *lens.matrix("distortion_coeffs", 4)]
-    camera = distorted("equidistant", numbers, size, content.where, skew or None)
+        plane[2:] = width / 2, height / 2
+    numbers = [*plane, *lens.matrix("distortion_coeffs", 4)]
+    camera = distorted("equidistant", numbers, size, content.where, skew)
     return Gathered(options).add(path.stem, camera, content.where).contents
 
 

@@ -66,8 +66,7 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     cameras = [_camera(values) for values in chain]
     calibration, poses = Gathered(options), _poses(chain, names, path)
     for name, values, camera, pose in zip(names, chain, cameras, poses, strict=True):
-        delay = values.number("timeshift_cam_imu") if "timeshift_cam_imu" in values else None
-        calibration.add(name, camera, values.where, pose, delay=delay)
+        calibration.add(name, camera, values.where, pose)
     return calibration.contents
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Any
@@ -27,6 +28,7 @@ from sphericalvision.cameras.calibration.parsing import (
 )
 from sphericalvision.cameras.calibration.poses import transform_from_rows
 from sphericalvision.core import FileFormatError, short_repr
+from sphericalvision.io.times import SAME_TIME
 
 _NEVER_MATTER = re.compile(
     "(time|date|stamp|timestamp|comment|note|description|author|error|rms|residual|board|square|marker|chessboard|charuco|aruco"
@@ -47,6 +49,9 @@ _SETS = re.compile(
     r"(?i)\w*(time_?stamp|stamp|uuid|session|recording|serial(_?(no|number))?|(group|component|rig|device)(_?id)?)\w*|time"
 )
 """Identifiers by which the entries of one list may be of several sets."""
+
+_DELAY = re.compile(r"(?i)[\w-]*time(stamp)?[_-]?(shift|offset|delay)[\w-]*")
+"""How formats call the seconds, or nanoseconds, by which the clock of a camera differs from that of the device."""
 
 SETTINGS = "(?!(?i:crop|roi|binning|scale|resiz|downs|flip|rotat|undist))"
 """In front of the pattern of a program's settings, whatever they are called: none crops, scales or turns the image."""
@@ -224,8 +229,11 @@ def check_understood(content: Any, where: str, ignored: str, way: str = "") -> N
             the key b in that of a; places in lists do not count.
         way: to ``content``.
     """
+    if isinstance(content, list | dict):
+        values = content.values() if isinstance(content, dict) else content
+        entries = [inner for inner in values if isinstance(inner, Keys)]
+        _check_clocks(entries, where)
     if isinstance(content, list):
-        entries = [inner for inner in content if isinstance(inner, Keys)]
         for key in dict.fromkeys(key for entry in entries for key in entry if key not in entry.read):
             if _SETS.fullmatch(str(key)):
                 check_one_set(
@@ -247,6 +255,22 @@ def check_understood(content: Any, where: str, ignored: str, way: str = "") -> N
             raise FileFormatError(
                 f"{where}: the key {short_repr(name)} is not understood here, and the camera may be another one with "
                 "it; correct its name, or remove it if it does not matter"
+            )
+
+
+def _check_clocks(entries: list[Keys], where: str) -> None:
+    """Warn of cameras whose clocks differ, by as much as keeps their images apart."""
+    for key in dict.fromkeys(key for entry in entries for key in entry if _DELAY.fullmatch(str(key))):
+        unit = 1e-9 if key.lower().endswith("ns") else 1.0
+        delays = {
+            entry.at(key): unit * entry.number(key) for entry in entries if dict.__contains__(entry, key)
+        }
+        slow, fast = (choose(delays, key=delays.__getitem__) for choose in (min, max))
+        if (gap := delays[fast] - delays[slow]) > SAME_TIME:
+            warnings.warn(
+                f"{where}: the clocks of two cameras are {gap:.3g} s apart ({slow}, and {fast}); images are paired by "
+                "times as they are: correct these, or the calibration",
+                stacklevel=6,
             )
 
 

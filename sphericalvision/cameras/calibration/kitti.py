@@ -19,11 +19,8 @@ from sphericalvision.cameras.calibration.contents import Contents, Gathered, Opt
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import Keys, check_understood
 from sphericalvision.cameras.calibration.lenses import distorted
-from sphericalvision.cameras.calibration.parsing import (
-    numbers,
-    size_from_width_height,
-)
-from sphericalvision.cameras.calibration.poses import transform_from_rows
+from sphericalvision.cameras.calibration.parsing import camera_matrix
+from sphericalvision.cameras.calibration.poses import transform_from_rotation
 from sphericalvision.cameras.calibration.text_files import data_lines, looks_structured
 from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import invert_transform
@@ -42,34 +39,20 @@ def recognizes(path: Path) -> bool:
 
 def contents(path: Path, options: Options) -> Contents:
     """The cameras of unrectified images and their poses."""
-    table = Keys()
+    table = Keys(str(path))
     for line, (label, *words) in data_lines(path):
         if not label.endswith(":") or label[:-1] in table:
             raise FileFormatError(f"{path}, line {line}: expected a key of its own first, got {label!r}")
-        table[label[:-1]] = (line, words)
-
-    def get(key: str, count: int) -> list[float]:
-        if key not in table:
-            raise FileFormatError(f"{path}: the key {key!r} is missing; found {', '.join(table) or 'none'}")
-        line, words = table[key]
-        return numbers(words, f"{path}, line {line}, {key}", count)
-
-    indices = sorted(match[1] for key in table if (match := re.fullmatch(r"K_(\d\d)", key)))
-    if not indices:
-        raise FileFormatError(f"{path}: the key 'K_00' is missing; found {', '.join(table)}")
+        table[label[:-1]] = words
+    table.forget()
     calibration = Gathered(options)
-    for index in indices:
-        where = f"{path}, line {table[f'K_{index}'][0]}, K_{index}"
-        fx, skew, cx, _, fy, cy, *last = get(f"K_{index}", 9)
-        if skew or last != [0.0, 0.0, 1.0]:
-            raise FileFormatError(f"{where}: expected fx 0 cx 0 fy cy 0 0 1")
-        sides = get(f"S_{index}", 2)
-        size = size_from_width_height(sides, f"{path}, line {table[f'S_{index}'][0]}, S_{index}")
-        camera = distorted("radtan", [fx, fy, cx, cy, *get(f"D_{index}", 5)], size, where)
-        turn, place = get(f"R_{index}", 9), get(f"T_{index}", 3)
-        rows = [[*turn[3 * row : 3 * row + 3], place[row]] for row in range(3)]
-        pose = transform_from_rows(rows, f"{path}, line {table[f'R_{index}'][0]}, R_{index}")
-        calibration.add(f"cam{int(index)}", camera, where, invert_transform(pose))
+    for index in sorted(key[2:] for key in table if re.fullmatch(r"K_\d\d", key)) or ["00"]:
+        plane, _ = camera_matrix(table.numbers(f"K_{index}", 9), table.at(f"K_{index}"))
+        numbers = [*plane, *table.numbers(f"D_{index}", 5)]
+        camera = distorted("radtan", numbers, table.size(f"S_{index}"), table.at(f"K_{index}"))
+        motion = table.numbers(f"R_{index}", 9), table.numbers(f"T_{index}", 3)
+        pose = invert_transform(transform_from_rotation(*motion, table.at(f"R_{index}")))
+        calibration.add(f"cam{int(index)}", camera, table.at(f"K_{index}"), pose)
     check_understood(table, str(path), r"corner_dist|(S_rect|R_rect|P_rect|P)_\d\d")
     return calibration.contents
 

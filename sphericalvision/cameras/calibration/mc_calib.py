@@ -19,8 +19,8 @@ from sphericalvision.cameras.calibration.contents import Contents, Gathered, Opt
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import distorted
-from sphericalvision.cameras.calibration.parsing import metres_per
-from sphericalvision.core import ArgumentError, FileFormatError
+from sphericalvision.cameras.calibration.parsing import camera_matrix
+from sphericalvision.core import FileFormatError
 
 
 def recognizes(content: dict[str, Any]) -> bool:
@@ -35,24 +35,18 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     several = [content.inner(name) for name in names]
     if len({str(values.get("camera_group")) for values in several}) > 1:
         raise FileFormatError(f"{path}, camera_group: the groups have no common frame; keep one of them")
-    if options.translation_unit is None:
-        raise ArgumentError(
-            f"translation_unit: {path} does not tell the unit of camera_pose_matrix, which is that of the board; pass "
-            "'m', 'cm' or 'mm'"
-        )
+    unit = options.metres(str(path), "camera_pose_matrix, which is that of the board")
     calibration = Gathered(options)
     for name, values in zip(names, several, strict=True):
-        fx, skew, cx, zero, fy, cy, *last = values.matrix("camera_matrix", 9)
-        if skew or zero or last != [0.0, 0.0, 1.0]:
-            raise FileFormatError(f"{values.at('camera_matrix')}: expected fx 0 cx 0 fy cy 0 0 1")
-        numbers = [fx, fy, cx, cy, *values.matrix("distortion_vector")]
+        plane, _ = camera_matrix(values.matrix("camera_matrix", 9), values.at("camera_matrix"))
+        numbers = [*plane, *values.matrix("distortion_vector")]
         kind = values.number("distortion_type")
         if kind not in (0, 1):
             raise FileFormatError(f"{values.at('distortion_type')}: expected 0 or 1, got {kind:g}")
         size = values.size("img_width", "img_height")
         camera = distorted("equidistant" if kind else "radtan", numbers, size, values.where)
         pose = values.pose("camera_pose_matrix")
-        pose[:3, 3] *= metres_per(options.translation_unit)
+        pose[:3, 3] *= unit
         calibration.add(name, camera, values.where, pose)
     return calibration.contents
 

@@ -36,7 +36,7 @@ from sphericalvision.cameras.calibration.parsing import (
     size_from_width_height,
     view_name,
 )
-from sphericalvision.cameras.calibration.poses import transform_from_rows
+from sphericalvision.cameras.calibration.poses import transform_from_rotation, transform_from_rows
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.core import FileFormatError
 
@@ -54,7 +54,7 @@ _EQUISOLID = Lens("equisolid", "fisheye", "f+b1=fx f=fy cx cy", options={"projec
 _IGNORED = (
     r"document/(version|chunk/[^/]+)|.*/next_(group_)?id|.*/active_id|.*/(enabled|class|label|locked)|.*/transform/(rotation"
     r"|translation)|.*/sensor/(property|bands|data_type|pixel_\w+|focal_length|layer_index|black_level|sensitivity|fixed\w*|photo_params|antenna"
-    r"|normalize_\w+|vignetting|rolling_shutter(_mode)?|reference|meta|master_id)|.*/component/(region|partition)"
+    r"|normalize_\w+|vignetting|rolling_shutter(_mode)?|reference|meta|master_id|(rotation|location)/fixed)|.*/component/(region|partition)"
     r"|.*/group/\w+|.*/camera/(reference|vignetting|meta|layer_index|used|selected|component_id)"
 )
 """Of sensors, cameras and components what is no camera and no pose; all else of the chunk."""
@@ -89,10 +89,12 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
         else:  # of images that were not aligned; ``_of_cameras`` refuses one that was
             for unused in (sensor, *_each(sensor, "resolution")):
                 unused.read.update(unused)
-        if "rotation" in sensor or "location" in sensor:
+        offset = [sensor.get(key) for key in ("rotation", "location")]
+        if any(
+            value.get("text") if isinstance(value, Keys) else value for value in offset
+        ):  # others are empty
             turn, place = (_floats(sensor.entry(key), f"{where}, {key}") for key in ("rotation", "location"))
-            rows = [[*turn[3 * row : 3 * row + 3], *place[row : row + 1]] for row in range(3)]
-            offsets[name] = transform_from_rows(rows, f"{where}, rotation and location")
+            offsets[name] = transform_from_rotation(turn, place, f"{where}, rotation and location")
     if not sensors.cameras:
         raise FileFormatError(f"{path}: no sensor with a calibration in it")
     return _of_cameras(chunk, sensors.cameras, offsets, path) if options.rig else sensors.contents

@@ -8,8 +8,7 @@ Convention:
 
         u = c x' + d y' + u0,    v = e x' + y' + v0
 
-    An ``OCamCamera`` with 1 where this has c is the same camera when radii are counted in units c times smaller, which
-    is what the reader does. ``CameraSystem.cam1_1`` to ``cam1_6`` are Cayley parameters and translation in metres,
+    ``CameraSystem.cam1_1`` to ``cam1_6`` are Cayley parameters and translation in metres,
     camera to rig.
 
 References:
@@ -27,8 +26,7 @@ import torch
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys, check_understood
-from sphericalvision.cameras.calibration.ocam_text import check_inverse
-from sphericalvision.cameras.calibration.parsing import errors_of_file
+from sphericalvision.cameras.calibration.ocam_text import make_ocam_of_columns
 from sphericalvision.cameras.calibration.text_files import load_keys
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.core import FileFormatError, check_file
@@ -62,35 +60,22 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     return calibration.contents
 
 
-def _polynomial(content: Keys, name: str, count_key: str) -> torch.Tensor:
+def _polynomial(content: Keys, name: str, count_key: str) -> list[float]:
     """Coefficients ``Camera.<name>0``, ... as many as are announced."""
     count = content.count(count_key, 100)
     if f"Camera.{name}{count}" in content:
         raise FileFormatError(
             f"{content.at(count_key)}: announces {count} coefficients, but Camera.{name}{count} is there"
         )
-    coefficients = [content.number(f"Camera.{name}{power}") for power in range(count)]
-    return torch.tensor(coefficients, dtype=torch.float64)
+    return [content.number(f"Camera.{name}{power}") for power in range(count)]
 
 
 def _camera(content: Keys) -> OCamCamera:
     direct = _polynomial(content, "a", "Camera.nrpol")
     inverse = _polynomial(content, "pol", "Camera.nrinvpol")
     c, d, e, u0, v0 = (content.number(f"Camera.{key}") for key in ("c", "d", "e", "u0", "v0"))
-    if not c > 0:
-        raise FileFormatError(f"{content.at('Camera.c')}: expected a number above 0, near 1, got {c:g}")
     size = content.size("Camera.Iw", "Camera.Ih")
-    powers = torch.arange(len(direct), dtype=torch.float64)
-    with errors_of_file(content.where):
-        camera = OCamCamera(
-            polynomial=direct * c ** (1 - powers),
-            inverse_polynomial=inverse * c,
-            principal_point=[u0, v0],
-            affine=[1 / c, e / c, d / c],
-            image_size=size,
-            max_angle=torch.pi,
-        )
-    return check_inverse(camera, content.where)
+    return make_ocam_of_columns(direct, inverse, [u0, v0], [c, d, e], size, content.at("Camera.c"))
 
 
 register_format(

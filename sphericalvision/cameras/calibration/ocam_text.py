@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
@@ -19,7 +20,6 @@ from sphericalvision.cameras.calibration.formats import FileFormat, register_for
 from sphericalvision.cameras.calibration.lenses import check_holds, numbers_of
 from sphericalvision.cameras.calibration.parsing import (
     errors_of_file,
-    metres_per,
     numbers,
     size_from_width_height,
 )
@@ -101,6 +101,34 @@ def make_ocam(
     return check_inverse(camera, where)
 
 
+def make_ocam_of_columns(
+    direct: Sequence[float],
+    inverse: Sequence[float] | None,
+    center: Sequence[float],
+    affine: Sequence[float],
+    size: tuple[int, int],
+    where: str,
+) -> OCamCamera:
+    """A camera of a program whose affine part c d e acts on (x, y), not on (row, column): centre as (column, row).
+
+    With radii in units c times smaller it is an ``OCamCamera``, which has 1 where that program has c.
+    """
+    c, d, e = affine
+    if not 1e-3 < c < 1e3:  # it is a ratio of two sides of a pixel
+        raise FileFormatError(f"{where}: expected the first number of the affine part about 1, got {c:g}")
+    scaled = [value * c ** (1 - power) for power, value in enumerate(direct)]
+    with errors_of_file(where):
+        camera = OCamCamera(
+            polynomial=torch.tensor(scaled, dtype=torch.float64),
+            inverse_polynomial=None if inverse is None else [value * c for value in inverse],
+            principal_point=list(center),
+            affine=[1 / c, e / c, d / c],
+            image_size=size,
+            max_angle=math.pi,
+        )
+    return check_inverse(camera, where)
+
+
 def check_inverse(camera: OCamCamera, where: str) -> OCamCamera:
     """``camera`` if its polynomials are of one lens: points of half of the middle row come back to within 5 % of it.
 
@@ -152,18 +180,11 @@ def _folder_contents(folder: Path, options: Options) -> Contents:
             f"{folder}: no ocam1.txt, ocam2.txt, ... beside poses.txt (one for each camera expected)"
         )
     comment = re.search(r"^# translation_unit: (\S+)", read_text(poses_path), re.MULTILINE)
-    name = comment[1] if comment else options.translation_unit
-    if name is None:
-        raise ArgumentError(
-            f"translation_unit: {poses_path} does not tell its unit; pass 'm', 'cm' or 'mm' "
-            "(OmniThings, OmniHouse and the urban sets: 'cm')"
-        )
-    if options.translation_unit not in (None, name):
-        raise ArgumentError(
-            f"translation_unit: {poses_path} says {name!r} itself, got {options.translation_unit!r}; leave it out"
-        )
-    with errors_of_file(str(poses_path)):
-        unit = metres_per(name)
+    unit = options.metres(
+        str(poses_path),
+        "its positions ('cm' in OmniThings, OmniHouse and the urban sets)",
+        comment and comment[1],
+    )
     lines = data_lines(poses_path)
     if len(lines) != len(files):
         raise FileFormatError(

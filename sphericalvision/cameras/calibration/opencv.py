@@ -41,9 +41,8 @@ from sphericalvision.cameras.calibration.opencv_keys import (
     rotation,
 )
 from sphericalvision.cameras.calibration.parsing import (
+    camera_matrix,
     errors_of_file,
-    focal_lengths,
-    metres_per,
     size_from_width_height,
 )
 from sphericalvision.cameras.calibration.poses import checked_rigid
@@ -98,21 +97,12 @@ def _poses(content: Keys, options: Options) -> tuple[Tensor | None, Tensor | Non
     turn, place = find(content, ROTATION, where=where), find(content, TRANSLATION, where=where)
     if turn is None or place is None:
         return None, None
-    unit = content.get("translation_unit") or options.translation_unit
-    if options.rig and options.translation_unit not in (None, unit):
-        raise ArgumentError(
-            f"translation_unit: {where} says {unit!r:.80} itself, got {options.translation_unit!r}; leave it out"
-        )
-    if unit is None:
-        raise ArgumentError(
-            f"translation_unit: {where} does not tell the unit of {place}, which is that of the calibration "
-            "board's squares; pass 'm', 'cm' or 'mm'"
-        )
+    unit = options.metres(
+        where, f"{place}, which is that of the board's squares", content.get("translation_unit")
+    )
     second_from_first = torch.eye(4, dtype=torch.float64)
     second_from_first[:3, :3] = rotation(content[turn], content.at(turn))
-    with errors_of_file(where):
-        metres = metres_per(str(unit))
-    second_from_first[:3, 3] = torch.tensor(content.matrix(place, 3), dtype=torch.float64) * metres
+    second_from_first[:3, 3] = torch.tensor(content.matrix(place, 3), dtype=torch.float64) * unit
     checked_rigid(second_from_first, content.at(turn))
     return torch.eye(4, dtype=torch.float64), invert_transform(second_from_first)
 
@@ -123,7 +113,8 @@ def _add_other_half(content: Keys, path: Path) -> None:
     if path.stem in _PAIRS and other.is_file():
         more = load(other)
         for key, value in more.items() if isinstance(more, dict) else ():
-            content.setdefault(key, value)
+            if content.setdefault(key, value) != value:
+                raise FileFormatError(f"{path} and {other.name} have different values of {key}; keep one")
 
 
 def _as_published(camera: Camera, content: Keys) -> Camera:
@@ -200,25 +191,15 @@ def _camera(content: Keys, index: str, where: str, options: Options) -> Camera:
             f"{where}: the camera matrix is missing (camera_matrix{index}, K{index} or M{index}); found "
             f"{', '.join(map(str, content))}"
         )
-    fx, skew, cx, _, fy, cy, *last = content.matrix(key, 9)
-    if last != [0.0, 0.0, 1.0]:
-        raise FileFormatError(f"{where}, {key}: expected 0 0 1 in the last row, got {last}")
-    focal_lengths([fx, fy], f"{where}, {key}")
     size = _image_size(content, index, where, options)
     distortion_key = find(content, DISTORTION, index, where)
-    numbers = [fx, fy, cx, cy]
     coefficients = content.matrix(distortion_key) if distortion_key else []
     kind = _kind(content, index, where, distortion_key or "", len(coefficients))
+    numbers, skew = camera_matrix(content.matrix(key, 9), f"{where}, {key}", kind in ("omni", "equidistant"))
     if kind == "omni":
         xi = find(content, ("xi",), index, where) or "xi"
         numbers += content.matrix(xi, 1)
-    has_skew = abs(skew) > 1e-9 * abs(fx)
-    if has_skew and kind not in ("omni", "equidistant"):
-        raise FileFormatError(
-            f"{where}, {key}: a skew of {skew:g} is for fisheye and omnidirectional cameras; OpenCV's others have none"
-        )
-    location = f"{where}, {distortion_key or key}"
-    return distorted(kind, numbers + coefficients, size, location, skew if has_skew else None)
+    return distorted(kind, numbers + coefficients, size, f"{where}, {distortion_key or key}", skew)
 
 
 def write_opencv(cameras: Camera | CameraRig, path: str | Path) -> None:

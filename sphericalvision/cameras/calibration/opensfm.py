@@ -4,7 +4,8 @@
 Convention:
     Lengths are shares of the longer side of the image, from its middle; the first pixel's centre is (0.5, 0.5).
     ``rotation`` (axis-angle) and ``translation`` of a shot take coordinates of the world to the camera's. Lengths are
-    in the reconstruction's own unit, which is metres if it is georeferenced.
+    in the reconstruction's own unit, which is metres if it is georeferenced. Poses of rigs count before those of their
+    shots.
 
 References:
     https://opensfm.org/docs/geometry.html, "Camera models" and "Coordinate systems".
@@ -14,6 +15,8 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
+
+from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
@@ -52,7 +55,7 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
         cameras.add(str(name), _camera(lenses.inner(name)), lenses.at(name))
     if not options.rig or "shots" not in content:
         return cameras.contents
-    shots, calibration = content.inner("shots"), Gathered(options)
+    shots, calibration, rigs = content.inner("shots"), Gathered(options), _rig_poses(content)
     for file in shots:
         shot = shots.inner(file)
         lens, name = str(shot.entry("camera")), view_name(file)
@@ -62,12 +65,29 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
             )
         if shot.get("orientation", 1) not in (0, 1):
             raise FileFormatError(f"{shot.at('orientation')}: expected 1, an image that is not turned")
-        rotation, translation = (shot.numbers(key, 3) for key in ("rotation", "translation"))
-        pose = transform_from_rotation_vector(rotation, translation, shot.at("rotation"))
-        calibration.add(name, cameras.cameras[lens], shot.where, invert_transform(pose))
+        pose = invert_transform(rigs.get(file, _pose(shot)))
+        calibration.add(name, cameras.cameras[lens], shot.where, pose)
     if not calibration.cameras:
         raise FileFormatError(f"{path}, shots: expected at least one")
     return calibration.contents
+
+
+def _rig_poses(content: Keys) -> dict[str, Tensor]:
+    """Poses of the shots of rigs, by which OpenSfM goes: those of shots may be older."""
+    instances = content.inner("rig_instances") if "rig_instances" in content else Keys()
+    poses = {}
+    for name in instances:
+        rig_from_world = _pose(instances.inner(name))
+        for file, camera in instances.inner(name).inner("rig_camera_ids").items():
+            poses[file] = _pose(content.inner("rig_cameras").inner(str(camera))) @ rig_from_world
+    content.read -= {"rig_cameras", "rig_instances"}  # of which the rest does not matter
+    return poses
+
+
+def _pose(values: Keys) -> Tensor:
+    """(4, 4), from the world, or from the rig, to the camera."""
+    rotation, translation = (values.numbers(key, 3) for key in ("rotation", "translation"))
+    return transform_from_rotation_vector(rotation, translation, values.at("rotation"))
 
 
 def _camera(values: Keys) -> Camera:

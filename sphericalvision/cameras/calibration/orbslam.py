@@ -73,6 +73,8 @@ def _camera(content: Keys, prefix: str) -> Camera:
         lens = kinds["rectified"]
     elif lens.name == "PinHole" and f"{prefix}.k3" in content:
         lens = _LENSES[-1]
+    if lens.model != "kannala_brandt" and content.get("Camera.bFishEye", content.get("Camera.bfisheye")):
+        raise FileFormatError(f"{content.where}: bFishEye is 1 and Camera.type {kind}; keep the right one")
     intrinsics = [content.number(f"{prefix}.{key}") for key in lens.keys]
     return lens.camera(intrinsics, content.size("Camera.width", "Camera.height"), content.at(prefix))
 

@@ -13,19 +13,15 @@ from typing import Any
 
 from sphericalvision.cameras.registry import model_meant
 from sphericalvision.cameras.rig import CameraRig
-from sphericalvision.core import FileFormatError, SphericalVisionError, check_choice, short_repr
+from sphericalvision.core import FileFormatError, SphericalVisionError, short_repr
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 FARTHEST = 1e8
 """Metres from the origin; no place on Earth is as far from its centre."""
+PLAUSIBLE = (0.005, 5.0)
+"""Metres: radii of rigs and of windows; of others the positions have another unit."""
 LARGEST_SIDE = 100_000
 """Of an image, in pixels; more is taken for a damaged file."""
-
-
-def metres_per(unit: str) -> float:
-    """Metres in one ``"m"``, ``"cm"`` or ``"mm"``."""
-    check_choice("translation_unit", unit, tuple(METRES_PER_UNIT))
-    return METRES_PER_UNIT[unit]
 
 
 def numbers(values: Any, where: str, count: int | None = None) -> list[float]:
@@ -73,6 +69,22 @@ def matrix(value: Any, where: str, count: int | None = None) -> list[float]:
     if count is not None and len(elements) != count:
         raise FileFormatError(f"{where}: expected {count} numbers, got {len(elements)}")
     return elements
+
+
+def camera_matrix(
+    elements: list[float], where: str, has_skew: bool = False
+) -> tuple[list[float], float | None]:
+    """fx, fy, cx and cy of a camera matrix, row by row, and its skew, of models that have one; None is no skew."""
+    fx, skew, cx, zero, fy, cy, *last = elements
+    if zero or last != [0.0, 0.0, 1.0]:
+        raise FileFormatError(f"{where}: expected the rows fx 0 cx, 0 fy cy and 0 0 1, got {elements}")
+    focal_lengths([fx, fy], where)
+    is_skewed = abs(skew) > 1e-9 * fx
+    if is_skewed and not has_skew:
+        raise FileFormatError(
+            f"{where}: a skew of {skew:g} is for fisheye and omnidirectional cameras; OpenCV's others have none"
+        )
+    return [fx, fy, cx, cy], skew if is_skewed else None
 
 
 def focal_lengths(values: list[float], where: str) -> list[float]:
@@ -148,7 +160,7 @@ def check_radius(rig: CameraRig, path: Path) -> CameraRig:
     """Warn when the cameras are implausibly near or far: most often a unit is wrong. Returns the rig."""
     if len(rig) > 1:
         radius = float(rig.radius)
-        if not 0.005 <= radius <= 5.0:
+        if not PLAUSIBLE[0] <= radius <= PLAUSIBLE[1]:
             warnings.warn(
                 f"{path}: the cameras are {radius:.4g} m from their centre on average, which is implausible for a rig "
                 "(expected 5 mm to 5 m); check the unit of the translations (translation_unit)",

@@ -64,6 +64,19 @@ def transform_from_rows(values: Any, where: str) -> Float[Tensor, "4 4"]:
     return checked_rigid(torch.cat((upper, last)), where)
 
 
+def transform_from_rotation(
+    rotation: Sequence[float], translation: Sequence[float], where: str
+) -> Float[Tensor, "4 4"]:
+    """A rigid transform (4, 4), float64, of the 9 numbers of a rotation, row by row, and a translation.
+
+    Examples:
+        >>> transform_from_rotation([1, 0, 0, 0, 1, 0, 0, 0, 1], [0.5, 0, 0], "here")[0, 3].item()
+        0.5
+    """
+    rows = [[*rotation[3 * row : 3 * row + 3], *translation[row : row + 1]] for row in range(3)]
+    return transform_from_rows(rows, where)
+
+
 def transform_from_numbers(
     quaternion: Sequence[float], translation: Sequence[float], where: str
 ) -> Float[Tensor, "4 4"]:
@@ -95,29 +108,12 @@ def transform_from_rotation_vector(
 def quaternion_from_rotation(rotation: Float[Tensor, "3 3"]) -> list[float]:
     """(w, x, y, z) with w >= 0 of a rotation (3, 3), to the last digits for every angle.
 
-    It is the eigenvector of the largest eigenvalue of a symmetric matrix of the rotation's entries, for which no angle
-    is special.
-
-    References:
-        I. Bar-Itzhack, "New method for extracting the quaternion from a rotation matrix", J. Guidance 23 (2000).
-
     Examples:
         >>> quaternion_from_rotation(torch.eye(3))
         [1.0, 0.0, 0.0, 0.0]
     """
-    (a, b, c), (d, e, f), (g, h, i) = rotation.detach().to("cpu", torch.float64).tolist()
-    matrix = torch.tensor(
-        [
-            [a + e + i, h - f, c - g, d - b],
-            [h - f, a - e - i, b + d, c + g],
-            [c - g, b + d, e - a - i, f + h],
-            [d - b, c + g, f + h, i - a - e],
-        ],
-        dtype=torch.float64,
-    )
-    quaternion = torch.linalg.eigh(matrix).eigenvectors[:, -1]
-    values: list[float] = (quaternion * (-1.0 if quaternion[0] < 0 else 1.0) + 0.0).tolist()
-    return values
+    x, y, z, w = _scipy_rotation(rotation).as_quat(canonical=True).tolist()
+    return [w, x, y, z]
 
 
 def axis_angle_from_rotation(rotation: Float[Tensor, "3 3"]) -> list[float]:
@@ -127,8 +123,11 @@ def axis_angle_from_rotation(rotation: Float[Tensor, "3 3"]) -> list[float]:
         >>> axis_angle_from_rotation(torch.eye(3))
         [0.0, 0.0, 0.0]
     """
-    quaternion = torch.tensor(quaternion_from_rotation(rotation), dtype=torch.float64)
-    sine = quaternion[1:].norm()
-    angle = 2 * torch.atan2(sine, quaternion[0])
-    vector: list[float] = (quaternion[1:] * (angle / sine if sine > 0 else 2.0)).tolist()
+    vector: list[float] = _scipy_rotation(rotation).as_rotvec().tolist()
     return vector
+
+
+def _scipy_rotation(rotation: Float[Tensor, "3 3"]) -> Any:
+    from scipy.spatial.transform import Rotation  # half a second to import
+
+    return Rotation.from_matrix(rotation.detach().to("cpu", torch.float64).numpy())

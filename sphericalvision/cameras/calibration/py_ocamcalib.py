@@ -16,17 +16,14 @@ References:
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
-
-import torch
 
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat, has_all, register_format
 from sphericalvision.cameras.calibration.keys import Keys
-from sphericalvision.cameras.calibration.parsing import errors_of_file, numbers
-from sphericalvision.cameras.models.ocam import OCamCamera
+from sphericalvision.cameras.calibration.ocam_text import make_ocam_of_columns
+from sphericalvision.cameras.calibration.parsing import numbers
 from sphericalvision.core import FileFormatError, short_repr
 
 
@@ -40,11 +37,8 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     center = content.numbers("distortion_center", 2)
     c, d, e = _stretch(content.entry("stretch_matrix"), content.at("stretch_matrix"))
     size = options.given_size(where)
-    with errors_of_file(where):
-        direct = [-value * c ** (1 - power) for power, value in enumerate(taylor)]
-        affine = [1 / c, e / c, d / c]
-        polynomial = torch.tensor(direct, dtype=torch.float64)
-        camera = OCamCamera(polynomial, None, center, affine, size, math.pi)
+    direct = [-value for value in taylor]
+    camera = make_ocam_of_columns(direct, None, center, [c, d, e], size, content.at("stretch_matrix"))
     name = content.get("camera_name")
     name = name if isinstance(name, str) and name else path.stem
     return Gathered(options).add(name, camera, where).contents

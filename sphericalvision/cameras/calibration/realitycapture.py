@@ -25,8 +25,7 @@ from sphericalvision.cameras.calibration.contents import Contents, Gathered, Opt
 from sphericalvision.cameras.calibration.formats import FileFormat, register_format
 from sphericalvision.cameras.calibration.keys import Keys, check_understood, with_keys
 from sphericalvision.cameras.calibration.lenses import Lens
-from sphericalvision.cameras.calibration.parsing import numbers
-from sphericalvision.cameras.calibration.poses import transform_from_rows
+from sphericalvision.cameras.calibration.poses import transform_from_rotation
 from sphericalvision.cameras.calibration.text_files import once, parse_xml
 from sphericalvision.core import FileFormatError
 from sphericalvision.io.files import by_numbers, read_text
@@ -56,7 +55,8 @@ def contents(path: Path, options: Options) -> Contents:
         if element.tag.startswith(_XCR):
             pairs.append((element.tag, element.text or ""))
         pairs += [(key, text) for key, text in element.attrib.items() if _XCR in key]
-    values = with_keys(once(((key.removeprefix(_XCR), text) for key, text in pairs), path), str(path))
+    words = once(((key.removeprefix(_XCR), text.split()) for key, text in pairs), path)
+    values = with_keys(words, str(path))
     camera = _camera(values, path, options)
     pose = _pose(values) if "Rotation" in values or "Position" in values else None
     check_understood(values, str(path), _IGNORED)
@@ -64,14 +64,9 @@ def contents(path: Path, options: Options) -> Contents:
 
 
 def _camera(values: Keys, path: Path, options: Options) -> Camera:
-    def get(key: str, default: str | None = None, count: int | None = 1) -> list[float]:
-        text = values.get(key, default)
-        if text is None:
-            raise FileFormatError(f"{path}: {key} is missing; found {', '.join(values) or 'none'}")
-        return numbers(text.split(), f"{path}, {key}", count)
-
-    kind = values.get("DistortionModel", "perspective")
-    coefficients = get("DistortionCoeficients", None if kind in _MODELS[1:] else "0 0 0 0 0 0", None)
+    kind = " ".join(values.get("DistortionModel", ["perspective"]))
+    has_none = kind not in _MODELS[1:] and "DistortionCoeficients" not in values
+    coefficients = [] if has_none else values.numbers("DistortionCoeficients")
     if len(coefficients) > 6:
         raise FileFormatError(
             f"{path}, DistortionCoeficients: expected 6 numbers at most, got {len(coefficients)}"
@@ -82,31 +77,24 @@ def _camera(values: Keys, path: Path, options: Options) -> Camera:
             f"{path}, DistortionModel: expected {' or '.join(_MODELS)} without a fourth radial coefficient, got "
             f"{kind!r:.80} with {coefficients}; choose brown3 or brown3t2 as the model before exporting"
         )
-    if get("Skew", "0")[0]:
-        raise FileFormatError(f"{path}, Skew: expected 0, got {values['Skew']!r:.80}; align without it")
+    if skew := values.number("Skew", 0.0):
+        raise FileFormatError(f"{path}, Skew: expected 0, got {skew:g}; align without it")
     height, width = size = options.given_size(str(path))
     side = max(height, width)
-    focal = get("FocalLength35mm")[0] * side / 36
-    aspect = get("AspectRatio", "1")[0]
-    fallback = None if "PrincipalPointU" in values or "PrincipalPointV" in values else "0"  # both or none
-    center = [
-        width / 2 + get("PrincipalPointU", fallback)[0] * side - 0.5,
-        height / 2 + get("PrincipalPointV", fallback)[0] * side - 0.5,
-    ]
-    plane = [focal, focal * aspect, *center]
+    focal = values.number("FocalLength35mm") * side / 36
+    fallback = None if "PrincipalPointU" in values or "PrincipalPointV" in values else 0.0  # both or none
+    u, v = (values.number(f"PrincipalPoint{axis}", fallback) * side - 0.5 for axis in "UV")
+    plane = [focal, focal * values.number("AspectRatio", 1.0), width / 2 + u, height / 2 + v]
     if not any(coefficients):
         return _PERSPECTIVE.camera(plane, size, str(path))
     return _BROWN.camera([*plane, k1, k2, k3, t1, t2], size, str(path))
 
 
 def _pose(values: Keys) -> Tensor:
-    turn, place = (
-        numbers(values.entry(key).split(), values.at(key), count)
-        for key, count in (("Rotation", 9), ("Position", 3))
-    )
+    turn, place = values.numbers("Rotation", 9), values.numbers("Position", 3)
     # Its transpose takes the camera's axes to the world
-    rows = [[*turn[row::3], place[row]] for row in range(3)]
-    return transform_from_rows(rows, values.at("Rotation"))
+    columns = [value for column in range(3) for value in turn[column::3]]
+    return transform_from_rotation(columns, place, values.at("Rotation"))
 
 
 register_format(

@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 from sphericalvision.cameras.base import Camera, check_single
-from sphericalvision.cameras.calibration.formats import file_format, file_formats
+from sphericalvision.cameras.calibration.formats import FileFormat, file_format, file_formats
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, check_choice, check_type
 
@@ -55,14 +56,11 @@ def save_camera(camera: Camera, path: str | Path, format: str | None = None) -> 
         ...     read_camera(f"{folder}/cameras.txt").principal_point
         tensor([159.5000, 119.5000])
     """
-    format = format or "native"
-    if format != "native":  # which needs none of the others
-        _check_format(format, camera_formats())
+    chosen = _format(format, camera_formats)
     check_type("camera", camera, Camera)
     check_single(camera)
-    write = file_format(format).write_camera
-    assert write is not None
-    write(camera, Path(path))
+    assert chosen.write_camera is not None
+    chosen.write_camera(camera, Path(path))
 
 
 def save_rig(rig: CameraRig, path: str | Path, format: str | None = None) -> None:
@@ -85,15 +83,12 @@ def save_rig(rig: CameraRig, path: str | Path, format: str | None = None) -> Non
         >>> read_rig("rig.yaml").names
         ['cam1', 'cam2']
     """
-    format = format or "native"
-    if format != "native":  # which needs none of the others
-        _check_format(format, rig_formats())
+    chosen = _format(format, rig_formats)
     check_type("rig", rig, CameraRig)
     check_single(rig)
-    write = file_format(format).write_rig
-    assert write is not None
-    write(rig.in_world(), Path(path))
-    if rig.masks and not file_format(format).holds_masks:
+    assert chosen.write_rig is not None
+    chosen.write_rig(rig.in_world(), Path(path))
+    if rig.masks and not chosen.holds_masks:
         with_masks = [name for name in rig_formats() if file_format(name).holds_masks]
         warnings.warn(
             f"{path}: the format {format!r} holds no masks, those of {', '.join(rig.masks)} are not written "
@@ -102,7 +97,11 @@ def save_rig(rig: CameraRig, path: str | Path, format: str | None = None) -> Non
         )
 
 
-def _check_format(format: str, written: tuple[str, ...]) -> None:
+def _format(format: str | None, formats: Callable[[], tuple[str, ...]]) -> FileFormat:
+    """The format of a name among ``formats``; the package's own needs none of the others."""
+    if format in (None, "native"):
+        return file_format("native")
+    written = formats()
     for other in file_formats():
         names = f"{other.name} {other.title}".lower().split()
         if isinstance(format, str) and format not in written and format.lower() in names:
@@ -111,3 +110,4 @@ def _check_format(format: str, written: tuple[str, ...]) -> None:
                 "not written in this form"
             )
     check_choice("format", format, written)
+    return file_format(format)

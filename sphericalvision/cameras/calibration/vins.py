@@ -11,6 +11,7 @@ References:
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 from sphericalvision.cameras.calibration import camodocal
@@ -27,6 +28,12 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     if content.number("num_of_cam", count) != count:
         raise FileFormatError(
             f"{content.at('num_of_cam')}: expected {count}, as many as there are names of files"
+        )
+    if guessed := content.number("estimate_extrinsic", 0):
+        warnings.warn(
+            f"{content.at('estimate_extrinsic')}: {guessed:g} says that the poses are a first guess, which the program "
+            "corrects; take those that it has found, and 0",
+            stacklevel=5,
         )
     for index in range(count):
         name, key = f"cam{index}", f"cam{index}_calib"

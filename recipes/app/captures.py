@@ -81,6 +81,9 @@ class Capture(Calibration):
         files: list[Path] = []
         if self.masks not in (None, AUTO):
             rig, files = rig_with_masks(rig, self.masks, cameras)
+            whose = dict(zip(cameras or rig.names, (file.name for file in files), strict=False))
+            if len(files) > 1 and not all(name in file for name, file in whose.items()):
+                print("Masks: " + ", ".join(f"{name} is {file}" for name, file in whose.items()) + ".")
         elif rig.masks and self.masks is None:
             print(f"Masks: of {', '.join(rig.masks)}, which come with {self.calibration}.")
         source = open_source(self.images, rig, self.frames, files, cameras, self.tolerance, labels)

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from sphericalvision.sphere.resampling.views import Views
 
 FITS = ("metres", "scale", "affine")
-FARTHEST = 1e4
-"""Metres, beyond which a hint says nothing."""
+FARTHEST = 200.0
+"""Metres, beyond which a hint says nothing that the images of a rig do."""
 COMPARED = 2000
 """Rays of a view that are compared with a network's own answer."""
 FEWEST = 20
@@ -108,8 +108,8 @@ class Hint:
         nearest = max(float(view.values.max()) for view in self.views if len(view.values))
         if self.fit == "metres" and 0 < nearest < 1 / FARTHEST:
             raise ArgumentError(
-                f"hint: expected metres from the rig, got nothing nearer than {1 / nearest:,.0f} m; take the rig's "
-                "position away from the coordinates of a map"
+                f"hint: expected metres from the rig, got nothing nearer than {1 / nearest:,.0f} m; divide "
+                "millimetres by 1000, or take the rig's position away from the coordinates of a map"
             )
         for view in self.views:
             below = 0 if self.fit == "affine" else int((view.values < 0).sum())

@@ -229,11 +229,12 @@ def test_infinite_pixels_say_nothing(tmp_path: Path) -> None:
     torch.testing.assert_close(around.values, torch.full((8 * 32,), 1 / 3))
 
 
-def test_points_of_a_map_are_asked_for_in_the_frame_of_the_calibration() -> None:
+def test_points_of_a_map_or_in_millimetres_are_no_metres_from_the_rig() -> None:
     survey = GRID.vertices[:50] + torch.tensor([450_000.0, 5_200_000.0, 430.0])
-    with pytest.raises(ArgumentError, match="hint: expected metres"):
-        Hint.of_points(survey)
-    Hint.of_points(survey, fit="scale")
+    for points in (survey, 2000 * GRID.vertices):
+        with pytest.raises(ArgumentError, match="hint: expected metres"):
+            Hint.of_points(points)
+        Hint.of_points(points, fit="scale")
 
 
 def test_points_in_files_are_in_the_frame_of_the_calibration(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 import av
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 import torch
 
-from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.cameras import CameraRig, PinholeCamera, ring_rig
 from sphericalvision.capture.sources.frames import Frame, Selection, Source
 from sphericalvision.capture.sources.moments import Clock, pair_moments
 from sphericalvision.capture.sources.opening import open_source, rig_with_masks
@@ -86,19 +87,31 @@ def as_counted_files(folder: Path, moments: Moments) -> str:
 
 
 def as_listed_files(folder: Path, moments: Moments, listing: str) -> str:
-    """Image files called by their numbers in the order of each camera, with a file of their times beside them."""
+    """Image files called by their numbers in the order of each camera, with a table of their times next to them."""
+    together = ["frame,camera,time"]
     for camera, own in moments.items():
-        lines = ["# times"]
+        lines = ["frame,time" if listing == "times.csv" else "# times"]
         for number, moment in enumerate(own):
             time = 1_700_000_000 * 10**9 + round(seconds(camera, moment) * 1e9)
             write_image(folder / f"{camera}/data/{number:06d}.png", picture(moment))
+            write_image(folder / f"{camera}/{number:06d}.png", picture(moment))
+            together.append(f"{number},{camera},{time / 1e9:.9f}")
             date = f"2023-11-14 22:13:{20 + (time // 10**9) % 40:02d}.{time % 10**9:09d}"
-            lines.append(f"{time},{number:06d}.png" if listing == "data.csv" else date)
+            columns = {
+                "data.csv": f"{time},{number:06d}.png",
+                "times.txt": f"{number:05d} {time / 1e9:.9f} 3.0",
+                "times.csv": f"{number},{time / 1e9:.9f}",
+            }
+            lines.append(columns.get(listing, date))
         (folder / camera / listing).write_text("\n".join(lines))
-    return f"{folder}/{{camera}}/data/{{frame}}.png"
+    if listing == "metadata.csv":
+        (folder / listing).write_text("\n".join(together))
+        for camera in moments:
+            (folder / camera / listing).unlink()
+    return f"{folder}/{{camera}}/{'' if listing == 'metadata.csv' else 'data/'}{{frame}}.png"
 
 
-def write_streams(path: Path, streams: Sequence[tuple[str, Sequence[int]]]) -> None:
+def write_streams(path: Path, streams: Sequence[tuple[str, Sequence[int]]], is_steady: bool = False) -> None:
     """A video with a stream for each camera, whose pictures have the times of their moments; in AVI whole steps."""
     format, codec, unit = {
         ".avi": ("avi", "mjpeg", Fraction(1, 10)),
@@ -106,9 +119,10 @@ def write_streams(path: Path, streams: Sequence[tuple[str, Sequence[int]]]) -> N
     }.get(path.suffix, ("mp4", "mpeg4", Fraction(1, 1000)))
     with av.open(str(path), "w", format=format) as file:
         targets = []
-        for _ in streams:
+        for camera, _ in streams:
             stream = file.add_stream(codec, rate=10)
-            stream.width, stream.height = SIZE[1], SIZE[0]
+            stream.width, stream.height, stream.metadata["title"] = SIZE[1], SIZE[0], camera
+            stream.metadata["handler_name"] = camera
             stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
             stream.codec_context.time_base = unit
             stream.bit_rate, stream.codec_context.gop_size = 8_000_000, 4
@@ -117,7 +131,8 @@ def write_streams(path: Path, streams: Sequence[tuple[str, Sequence[int]]]) -> N
             for (camera, own), target in zip(streams, targets, strict=True):
                 if moment in own:
                     image = av.VideoFrame.from_ndarray(picture(moment), format="rgb24")
-                    image.pts, image.time_base = round(seconds(camera, moment) / unit), unit
+                    time = seconds(camera, own.index(moment) if is_steady else moment)
+                    image.pts, image.time_base = round(time / unit), unit
                     file.mux(target.encode(image))
         for target in targets:
             file.mux(target.encode(None))
@@ -130,10 +145,27 @@ def as_videos(folder: Path, moments: Moments) -> str:
     return f"{folder}/{{camera}}.mp4"
 
 
+def as_listed_videos(folder: Path, moments: Moments) -> str:
+    """Videos whose pictures follow at a steady rate, with a table of the times when each was taken."""
+    folder.mkdir()
+    for camera, own in moments.items():
+        write_streams(folder / f"{camera}.mp4", [(camera, own)], is_steady=True)
+        lines = [f"{number},{1.7e9 + seconds(camera, moment):.6f}" for number, moment in enumerate(own)]
+        (folder / f"{camera}.csv").write_text("\n".join(["frame,timestamp", *lines]))
+    return f"{folder}/{{camera}}.mp4"
+
+
 def as_streams(folder: Path, moments: Moments) -> str:
     folder.mkdir()
     write_streams(folder / "all.insv", list(moments.items()))
     return str(folder / "all.insv")
+
+
+@pytest.mark.parametrize("suffix", [".mkv", ".mp4"])
+def test_streams_are_of_the_cameras_that_they_are_called_by(tmp_path: Path, suffix: str) -> None:
+    write_streams(tmp_path / f"a{suffix}", [(camera, [1]) for camera in ("cam3", "cam1", "cam2")])
+    source, _ = opened(str(tmp_path / f"a{suffix}"))
+    assert source.labels == {"cam1": "stream 1", "cam2": "stream 2", "cam3": "stream 0"}
 
 
 def as_bag(folder: Path, moments: Moments, stamped: bool = True, received: bool = True) -> str:
@@ -152,11 +184,12 @@ def as_bag(folder: Path, moments: Moments, stamped: bool = True, received: bool 
 SOURCES: dict[str, Writer] = {
     "files called by time": as_files,
     "files called by number": as_counted_files,
-    "files that data.csv lists": lambda folder, moments: as_listed_files(folder, moments, "data.csv"),
-    "files that timestamps.txt lists": lambda folder, moments: as_listed_files(
-        folder, moments, "timestamps.txt"
-    ),
+    **{
+        f"files that {name} lists": partial(as_listed_files, listing=name)
+        for name in ("data.csv", "timestamps.txt", "times.txt", "times.csv", "metadata.csv")
+    },
     "videos": as_videos,
+    "videos of a steady rate that tables list": as_listed_videos,
     "streams": as_streams,
     "a bag": as_bag,
     "a bag without stamps": lambda folder, moments: as_bag(folder, moments, stamped=False),
@@ -360,6 +393,9 @@ CANDIDATES = {  # what lies in a folder, and what of it is meant; None where tha
     "a video and pictures of it": (["{camera}.mp4", "{camera}/1.png"], None),
     "a GoPro's videos": (["{camera}.360"], ".360"),
     "a camcorder's videos": (["{camera}.MTS"], ".MTS"),
+    "images and the bag that they are of": (["{camera}/1.png", "run.bag"], None),
+    "EuRoC's folders": (["{camera}/data/1.png"], "data"),
+    "KITTI's folders": (["image_0{camera[3]}/data/1.png"], "data"),
     "Insta360's pictures": (["IMG_1.insp", "IMG_2.insp"], ".insp"),
 }
 
@@ -369,9 +405,9 @@ def test_of_two_candidates_none_is_taken_by_the_alphabet(
     tmp_path: Path, names: list[str], expected: str | None
 ) -> None:
     for name in names:
-        for camera in RIG.names if "{camera}" in name else [""]:
+        for camera in RIG.names if "{camera" in name else [""]:
             path = tmp_path / name.format(camera=camera)
-            path.parent.mkdir(exist_ok=True)
+            path.parent.mkdir(parents=True, exist_ok=True)
             joined = np.concatenate([picture(1)] * (1 if camera else 3), 1)
             if path.suffix in (".png", ".jpg", ".insp"):
                 path.write_bytes(
@@ -441,6 +477,28 @@ def test_videos_that_say_themselves_that_they_begin_apart_are_told(
             file.mux(target.encode(None))
     _, told = opened(str(tmp_path / "{camera}.mov"), rig)
     assert ["2 s apart" in sentence for sentence in told] == [True] * is_told
+
+
+def test_two_tables_of_other_times_are_refused(tmp_path: Path) -> None:
+    images = as_listed_files(tmp_path, EVERYTHING, "data.csv")
+    (tmp_path / "cam1/times.csv").write_text(
+        "".join(f"{number},{2e9 + number:.1f}\n" for number in range(10))
+    )
+    with pytest.raises(ArgumentError, match=r"data\.csv.*times\.csv"):
+        open_source(images, RIG)
+
+
+@pytest.mark.parametrize(
+    ("name", "is_told"), [("image_rect", True), ("unrect", False), ("undistorted", True)]
+)
+def test_images_of_a_fisheye_that_are_called_rectified_are_asked_about(
+    tmp_path: Path, name: str, is_told: bool
+) -> None:
+    (tmp_path / name).mkdir()
+    images = as_counted_files(tmp_path / name, {camera: [1] for camera in RIG.names})
+    assert any(name in sentence for sentence in opened(images)[1]) == is_told
+    pinholes = {camera: PinholeCamera([50.0, 50.0], [24.0, 16.0], SIZE) for camera in RIG.names}
+    assert not opened(images, CameraRig(pinholes, RIG.world_from_camera))[1]
 
 
 @pytest.mark.parametrize(("where", "is_told"), [("ahead", False), ("around", True)])

@@ -216,6 +216,19 @@ def test_labels_are_names_or_numbers_or_refused(
         find_labels(pattern, names, used)
 
 
+def test_masks_by_number_say_whose_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = ring_rig(2, image_size=(16, 16))
+    save_rig(
+        CameraRig(dict(zip(("front", "back"), rig.cameras.values(), strict=True)), rig.world_from_camera),
+        tmp_path / "rig.yaml",
+    )
+    for name in ("front", "back", "mask_0", "mask_1"):
+        write_image(tmp_path / f"{name}.png", torch.ones(1, 16, 16))
+    images, masks = f"{tmp_path}/{{camera}}.png", f"{tmp_path}/mask_{{camera}}.png"
+    Capture(calibration=str(tmp_path / "rig.yaml"), images=images, masks=masks).open()
+    assert "Masks: front is mask_0.png, back is mask_1.png." in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("cameras", [None, ["cam1", "cam2"], ["cam3"]])
 def test_stills_of_all_views_are_cut_as_videos_are(tmp_path: Path, cameras: list[str] | None) -> None:
     rig = ring_rig(3, image_size=(16, 16))

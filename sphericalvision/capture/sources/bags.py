@@ -128,22 +128,21 @@ class Bag(Recording):
             ("the stamps in their headers", stamps),
             ("the times at which the bag received them", received),
         ]
-        gap = _between_clocks(stamps, received)
+        sentences = []
+        if (gap := _between_clocks(stamps, received)) is not None:
+            sentences.append(f"{clocks.pop(0)[0]} are of clocks {gap}: {clocks[0][0]} count")
         moments = pair_moments(
             messages,
             [
                 Clock(source, {c: {n: t and t / 1e9 for n, t in own.items()} for c, own in times.items()})
-                for source, times in clocks[gap is not None :]
+                for source, times in clocks
             ],
             tolerance,
             names="their numbers",
         )
-        if gap is not None:
-            moments.warnings.insert(
-                0, f"images: {path}: {clocks.pop(0)[0]} are of clocks {gap}: {clocks[0][0]} count"
-            )
         if gap is None and moments.clock == 0 and (drift := _drift(stamps, received, tolerance)):
-            moments.warnings.insert(0, f"images: {path}: {drift}")
+            sentences.append(drift)
+        moments.warnings[:0] = [f"images: {path}: {sentence}" for sentence in sentences]
         for (name, fault), count in faults.items():
             moments.warnings.append(
                 f"images: {path}: {count} {fault} message(s) of {self.topics[name]} are left out"
@@ -196,6 +195,14 @@ class Bag(Recording):
                 getattr(first, "encoding", getattr(first, "format", ""))
             ):
                 pictured[topic] = sum(connection.msgcount for connection in connections)
+        if not pictured:
+            types = sorted(
+                {f"{connection.topic} ({connection.msgtype})" for connection in reader.connections}
+            )
+            raise ArgumentError(
+                f"images: {self.path}: expected topics of {IMAGE} or {COMPRESSED} with pictures, got "
+                f"{', '.join(types)[:300] or 'none'}; decode videos to images first"
+            )
         return pictured
 
     @staticmethod
@@ -366,7 +373,7 @@ def _topics(
     unclear = next((f", {name} may be {' or '.join(own[name])}" for name in used if len(own[name]) > 1), "")
     raise ArgumentError(
         f"images: {path}: expected one topic of pictures for each of {', '.join(used)}, such as /{used[0]}/image_raw, "
-        f"got {', '.join(sorted(topics)) or 'none'}{unclear}. Say which is whose: "
+        f"got {', '.join(sorted(topics))}{unclear}. Say which is whose: "
         f"cameras=[{','.join(f'{name}:/topic' for name in used)}]"
     )
 

@@ -187,7 +187,11 @@ def _paired_by_name(images: Images, key: str, names: str) -> Moments:
     """Moments of images of equal names."""
     common = set.intersection(*map(set, images.values()))
     if not common:
-        raise MissingFileError(f"{key}: no frame has an image of every camera ({_counts(images)}) by {names}")
+        examples = ", ".join(min(own) for own in images.values() if own)
+        raise MissingFileError(
+            f"{key}: no frame has an image of every camera ({_counts(images)}) by {names}, such as {examples}; if more "
+            "than a number or a time differs between cameras, name it in the pattern"
+        )
     remaining = {camera: in_order(set(own) - common) for camera, own in images.items()}
     frames = {name: {camera: images[camera][name] for camera in images} for name in in_order(common)}
     reason = f"other cameras have none of it by {names}"

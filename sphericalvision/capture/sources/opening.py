@@ -11,8 +11,9 @@ from pathlib import Path
 
 import torch
 
-from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras import CameraRig, PinholeCamera
 from sphericalvision.cameras.calibration.parsing import errors_of_file
+from sphericalvision.capture.sources.bags import SUFFIXES as BAG_SUFFIXES
 from sphericalvision.capture.sources.bags import Bag, bag_of
 from sphericalvision.capture.sources.frames import Source
 from sphericalvision.capture.sources.image_files import IMAGE_SUFFIXES, ImageFiles
@@ -29,10 +30,15 @@ LAYOUTS = (
     "cam{camera}/{frame}",
     "{camera}_{frame}",
     "cam{camera}_{frame}",
+    "{camera}/data/{frame}",
+    "cam{camera}/data/{frame}",
+    "image_{camera}/data/{frame}",
     "{camera}",
     "cam{camera}",
 )
 """How folders of captures name their files, most explicit first."""
+RECTIFIED = re.compile(r"(?i)(?<![a-z])(rect|rectified|undist|undistorted)(?![a-z])")
+"""In the name of images that a program has straightened."""
 MASK_SAMPLES = 100
 """Pixels of the longer side of a mask that are looked at."""
 LEAST_AHEAD = 0.01
@@ -56,24 +62,26 @@ class _Opening:
         """The source of what is no folder, by its name."""
         path = Path(images).expanduser()
         is_video = path.suffix.lower() in VIDEO_SUFFIXES
-        if images.startswith("live:"):
-            self._refuse_frames()
+        is_live, is_pattern = images.startswith("live:"), "{" in images
+        bag = None if is_live or is_video or is_pattern else bag_of(path)
+        if self.frames is not None and (is_live or is_video or bag is not None):
+            raise ArgumentError(
+                "frames: of videos, bags and live cameras choose frames with start=, stop= and every="
+            )
+        if is_live:
             return LiveCameras(_devices(images, self.used), self.used, self.rig)
-        if is_video and "{" not in images:
-            self._refuse_frames()
+        if bag is not None:
+            return Bag(bag, self.used, self.rig, self.tolerance, self.labels)
+        if is_video and not is_pattern:
             if not path.is_file():
                 raise MissingFileError(
                     f"images: {path}: no such file (a video with the views of all cameras expected)"
                 )
             return Videos({"": path}, self.used, self.rig, self.tolerance)
         if is_video:
-            self._refuse_frames()
             labels = self.labels_of(images)
             (files,) = find_files(images, self.used.names, labels=labels).frames.values()
             return _labelled(Videos(files, self.used, self.rig, self.tolerance), labels)
-        if "{" not in images and (bag := bag_of(path)) is not None:
-            self._refuse_frames()
-            return Bag(bag, self.used, self.rig, self.tolerance, self.labels)
         if len(self.rig) > 1 and "{camera" not in images:
             return self._joined(images)
         labels = self.labels_of(images)
@@ -103,12 +111,6 @@ class _Opening:
         source = ImageFiles(find_files(pattern, [""], self.frames, self.leave_out), self.used, self.rig)
         source.sizes()
         return source
-
-    def _refuse_frames(self) -> None:
-        if self.frames is not None:
-            raise ArgumentError(
-                "frames: of videos, bags and live cameras choose frames with start=, stop= and every="
-            )
 
 
 def open_source(
@@ -141,9 +143,17 @@ def open_source(
     used = rig if cameras is None else rig.subset(list(cameras))
     opening = _Opening(rig, used, frames, list(leave_out), tolerance, labels or {})
     path = Path(images).expanduser()
-    if path.is_dir() and bag_of(path) is None:
-        return _of_folder(path, opening)
-    return opening.source(images)
+    is_folder = path.is_dir() and bag_of(path) is None
+    source = _of_folder(path, opening) if is_folder else opening.source(images)
+    origins = ["/".join(path.parts[-3:]), *getattr(source, "topics", {}).values()]
+    straight = next((origin for origin in origins if RECTIFIED.search(origin)), None)
+    if straight and not all(isinstance(camera, PinholeCamera) for camera in used.cameras.values()):
+        warnings.warn(
+            f"images: {straight} is called as images without distortion, and the calibration has one: take the "
+            "images as they were taken, or a calibration of these",
+            stacklevel=2,
+        )
+    return source
 
 
 def _labelled(source: Source, labels: Mapping[str, str]) -> Source:
@@ -158,7 +168,7 @@ def _of_folder(folder: Path, opening: _Opening) -> Source:
     excluded = {path.resolve() for path in opening.leave_out}
     files = [
         file
-        for file in (*folder.glob("*"), *folder.glob("*/*"))
+        for file in (*folder.glob("*"), *folder.glob("*/*"), *folder.glob("*/data/*"))
         if not file.name.startswith(".") and file.is_file() and file.resolve() not in excluded
     ]
     previews = {file for file in files if _is_preview(file)}
@@ -196,6 +206,9 @@ def _of_files(folder: Path, files: Iterable[Path], opening: _Opening) -> Source 
         videos = [str(file) for file in joined if file.suffix.lower() in VIDEO_SUFFIXES]
         stills = {f"{folder}/{JOINED}{file.suffix}": None for file in joined if str(file) not in videos}
         patterns = [*videos, *stills]
+    bags = [file for file in files if file.suffix.lower() in BAG_SUFFIXES]
+    is_part = {file: (file.parent / "metadata.yaml").is_file() for file in bags}
+    patterns += sorted({str(file.parent if is_part[file] else file) for file in bags})
     if len(patterns) > 1:
         raise ArgumentError(
             f"images: {folder} holds several kinds of files that may be meant: {', '.join(patterns[:4])}; name one of "

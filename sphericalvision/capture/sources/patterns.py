@@ -9,14 +9,12 @@ import warnings
 from collections.abc import Container, Iterable, Mapping, Sequence
 from pathlib import Path
 
+from sphericalvision.capture.sources.listings import listed_clock
 from sphericalvision.capture.sources.moments import Clock, Moments, pair_moments
 from sphericalvision.core import ArgumentError, MissingFileError
-from sphericalvision.io.files import read_text
 from sphericalvision.io.times import SAME_TIME, are_counts, in_order, seconds
 
 EXAMPLE = "'capture/cam{camera}/{frame:05d}.png'"
-LISTINGS = ("data.csv", "timestamps.txt")
-"""Files that tell when the images of a camera were taken: EuRoC's and KITTI's."""
 _NUMBER = re.compile(r"^-?\d+(?:\.\d+)*|\d+(?:\.\d+)*")
 """In a frame's name; a time with decimals is one."""
 
@@ -34,8 +32,8 @@ def find_files(
 
     ``{camera}`` stands for a label of ``find_labels``. ``{frame}`` stands for the frame, with a width if it has one
     (``{frame:05d}``); it may be missing when there is one frame only. Frames of equal names belong together; where
-    cameras have other names and all are times, or where names are numbers and a file beside the images tells the times
-    of each camera's (``LISTINGS``), those within ``tolerance``, called as the first camera's.
+    cameras have other names and all are times, or where names are numbers and a table next to the images tells their
+    times (``listed_clock``), those within ``tolerance``, called as the first camera's.
 
     Args:
         pattern: of the files.
@@ -57,7 +55,7 @@ def find_files(
     files = {name: files_of(pattern, labels[name], excluded) for name in names}
     if requested is None:
         _check_one_kind({name for own in files.values() for name in own}, pattern, key)
-    clocks = _clocks(files)
+    clocks = _clocks(files, labels)
     moments = pair_moments(files, clocks, tolerance, key)
     if not clocks:  # equal names say themselves what belongs together
         moments = moments._replace(pairing="")
@@ -121,15 +119,19 @@ def _several_kinds(pattern: str, name: str, other: str) -> str:
     )
 
 
-def _clocks(files: Mapping[str, Mapping[str, Path]]) -> list[Clock]:
-    """The times of images: of counts those in files beside them, of others those in names where names differ."""
+def _clocks(files: Mapping[str, Mapping[str, Path]], labels: Mapping[str, str]) -> list[Clock]:
+    """The times of images: of counts those in tables next to them, of others those in names where names differ."""
     names = list(set().union(*files.values()))
     if are_counts(names):
-        listed = {camera: _listed_times(own) for camera, own in files.items()} if len(files) > 1 else {}
-        if not any(listed.values()):
+        if len(files) == 1:
             return []
-        complete = {camera: own or dict.fromkeys(files[camera]) for camera, own in listed.items()}
-        return [Clock(f"the times in {' or '.join(LISTINGS)} beside them", complete)]
+        called = {
+            camera: {file.name: name for name, file in own.items()} | {str(int(name)): name for name in own}
+            for camera, own in files.items()
+        }
+        folders = {camera: next(iter(own.values())).parent for camera, own in files.items()}
+        listed = listed_clock(folders, labels, called)
+        return [listed] if listed else []
     if all(len(own) == len(names) for own in files.values()):
         return []
     times = dict(zip(names, seconds(names), strict=True))
@@ -140,28 +142,6 @@ def _clocks(files: Mapping[str, Mapping[str, Path]]) -> list[Clock]:
             "the times in their names", {c: {name: times[name] for name in own} for c, own in files.items()}
         )
     ]
-
-
-def _listed_times(files: Mapping[str, Path]) -> dict[str, float | None] | None:
-    """Name of an image -> seconds, as a file beside the images of a camera or beside their folder tells them, if any.
-
-    A line has a time and the image's file, or it is the time of the image of its number, counted from 0 or 1.
-    """
-    folder = next(iter(files.values())).parent
-    listing = next((f for p in (folder, folder.parent) for n in LISTINGS if (f := p / n).is_file()), None)
-    if listing is None:
-        return None
-    lines = [line.strip() for line in read_text(listing).splitlines()]
-    lines = [line for line in lines if line and not line.startswith("#")]
-    named = {Path(words[1].strip()).name: words[0] for line in lines if len(words := line.split(",")) > 1}
-    first = int(max(map(int, files)) == len(lines))
-    numbered = {str(number): line for number, line in enumerate(lines, start=first)}
-    texts = [
-        named.get(file.name, "") if named else numbered.get(str(int(name)), "")
-        for name, file in files.items()
-    ]
-    listed = iter(seconds([text for text in texts if text]))
-    return {name: next(listed) if text else None for name, text in zip(files, texts, strict=True)}
 
 
 def find_labels(

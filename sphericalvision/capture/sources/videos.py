@@ -20,6 +20,7 @@ import numpy.typing as npt
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.sources.frames import Recording
 from sphericalvision.capture.sources.joined_views import size_of_view
+from sphericalvision.capture.sources.listings import listed_clock
 from sphericalvision.capture.sources.moments import Clock, pair_moments
 from sphericalvision.core import ArgumentError, FileFormatError, first_line
 from sphericalvision.io.times import SAME_TIME
@@ -55,6 +56,7 @@ class VideoStream(NamedTuple):
         times: the same in seconds, None where the file has no stamps; also of what a header promises after the end.
         key_frames: positions of the pictures that can be decoded without others.
         damaged: positions of the pictures that the file cuts short.
+        title: its name in the file, empty without one.
         begins: seconds at which a clock of the camera says that the recording began, by where the file says it.
     """
 
@@ -67,6 +69,7 @@ class VideoStream(NamedTuple):
     times: list[float | None]
     key_frames: list[int]
     damaged: set[int]
+    title: str
     begins: dict[str, float]
 
     def __str__(self) -> str:
@@ -128,6 +131,7 @@ def _described(
         times,
         [position for position, packet in enumerate(packets) if packet.is_key],
         {position for position, packet in enumerate(packets) if packet.is_cut},
+        stream.metadata.get("title", stream.metadata.get("handler_name", "")),
         _begins(container.metadata | stream.metadata, rate),
     )
 
@@ -300,7 +304,7 @@ class Videos(Recording):
 
     Args:
         files: camera name -> file; or under the name ``""`` one that has all views, side by side or in a video stream
-            for each camera, in their order.
+            for each camera, which have the cameras' names or their order.
         rig: of the cameras.
         whole: the rig whose cameras say how views lie side by side, of which ``rig`` has some; ``rig`` when not given.
         tolerance: seconds between images of one moment, at most.
@@ -332,7 +336,10 @@ class Videos(Recording):
         self.labels = {name: f"stream {own.number}" for name, own in self.streams.items() if own.of > 1}
 
     def _clocks(self, positions: Mapping[str, Mapping[str, int]]) -> list[Clock]:
-        """Times in the files; and, of several files, whose clocks may differ, those since each one's first picture."""
+        """Times in the files; and, of several files, whose clocks may differ, those since each one's first picture.
+
+        A table next to each file tells better: recorders write pictures at a steady rate, whenever they came.
+        """
         times = {
             name: dict(zip(positions[name], stream.times, strict=True))
             for name, stream in self.streams.items()
@@ -341,6 +348,13 @@ class Videos(Recording):
         if len({stream.file for stream in self.streams.values()}) > 1:
             since = {name: _since_first(own) for name, own in times.items()}
             clocks.append(Clock("the times since the first picture of each video", since))
+            files = {name: stream.file for name, stream in self.streams.items()}
+            listed = listed_clock(
+                {name: file.parent for name, file in files.items()},
+                {name: file.stem for name, file in files.items()},
+                {name: {str(int(number)): number for number in own} for name, own in positions.items()},
+            )
+            clocks = [listed, *clocks] if listed else clocks
         return clocks
 
     def sizes(self) -> dict[str, tuple[int, int]]:
@@ -378,7 +392,9 @@ def _streams_of_cameras(
                 f"file of its own: ffmpeg -i in{file.suffix} -map 0:v:0 -c copy cam1.mp4, and so on with 0:v:1"
             )
         else:
-            return {camera: described[whole.names.index(camera)] for camera in rig.names}
+            titles = [stream.title for stream in described]
+            order = titles if set(titles) == set(whole.names) else whole.names
+            return {camera: described[order.index(camera)] for camera in rig.names}
     return streams
 
 

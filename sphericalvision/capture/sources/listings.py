@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Times of images in a table next to them: EuRoC's ``data.csv``, KITTI's ``timestamps.txt``, or a recorder's own."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from sphericalvision.capture.sources.moments import Clock
+from sphericalvision.core import ArgumentError
+from sphericalvision.io.files import read_text
+from sphericalvision.io.times import are_counts, seconds
+
+_TABLE = re.compile(r"(?i)(data|rgb|meta_?data|frames|.*(time|stamp).*)\.(csv|txt)")
+"""Names of such tables of any camera."""
+
+
+def listed_clock(
+    folders: Mapping[str, Path], labels: Mapping[str, str], names: Mapping[str, Mapping[str, str]]
+) -> Clock | None:
+    """The times in tables next to images or above their folders; None if no camera has one.
+
+    A line has a time, and in other columns the image's file or number, and the camera if a table has several; or it is
+    the time of the image of its number, counted from 0 or 1.
+
+    Args:
+        folders: of each camera's images.
+        labels: of the cameras.
+        names: camera -> file or number of an image, as a table may call it -> its name.
+
+    Raises:
+        ArgumentError: two tables tell different times.
+    """
+    files: set[str] = set()
+    clock: dict[str, dict[str, float | None]] = {}
+    for camera, folder in folders.items():
+        clock[camera] = dict.fromkeys(names[camera].values())
+        for place in (folder, folder.parent):
+            tables = {
+                file.name: times
+                for file in sorted(place.glob("*.[ct][sx][vt]"))
+                if _is_of(file.name, labels[camera], labels.values())
+                and (times := _read(file, labels[camera], names[camera]))
+            }
+            first, *others = [*tables, ""]
+            if others and any(tables[other] != tables[first] for other in others[:-1]):
+                raise ArgumentError(
+                    f"images: {place / first} and {others[0]} tell different times; move one of them"
+                )
+            if first:
+                files.add(first)
+                clock[camera] |= tables[first]
+                break
+    return Clock(f"the times in {' and '.join(sorted(files))} next to them", clock) if files else None
+
+
+def _is_of(name: str, label: str, labels: Iterable[str]) -> bool:
+    """Whether a file may be a table of times of one camera: it is called as this camera, or as no other."""
+    match = re.match(rf"({'|'.join(map(re.escape, labels))})(?![A-Za-z0-9])", name)
+    return match[1] == label if match and match[1] else bool(_TABLE.fullmatch(name))
+
+
+def _read(path: Path, label: str, names: Mapping[str, str]) -> dict[str, float | None]:
+    """Image -> seconds of the table of one camera, or of its lines in a table of all; empty if it is something else."""
+    rows = [_entries(line.strip()) for line in read_text(path).splitlines() if not line.startswith("#")]
+    rows = [row for row in rows if any(entry.isdigit() or seconds([entry]) != [None] for entry in row)]
+    columns = list(zip(*([row for row in rows if label in row] or rows), strict=False))
+    first = int(max((int(name) for name in names if name.isdigit()), default=0) == len(rows))
+    images = [names.get(str(number)) for number in range(first, first + len(rows))]
+    clocks, is_named = [], len(columns) == 1
+    for column in columns:
+        listed = [names.get(Path(entry).name, names.get(entry.lstrip("0") or "0")) for entry in column]
+        if len(set(listed) - {None}) > len(column) / 2:  # some images, or some lines, may be missing
+            images, is_named = listed, True
+        elif not are_counts(column) and len({None, *seconds(column)}) > len(
+            column
+        ):  # all tell times of their own
+            clocks.append(seconds(column))
+    pairs = zip(images, clocks[0], strict=True) if clocks and is_named else ()
+    return {image: time for image, time in pairs if image}
+
+
+def _entries(line: str) -> list[str]:
+    """The columns of a line; a date and a time of day are one."""
+    delimiter = next((sign for sign in ",;\t" if sign in line), None)
+    return [entry.strip() for entry in ([line] if seconds([line]) != [None] else line.split(delimiter))]

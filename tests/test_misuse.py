@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 import torch
 
-import sphericalvision
 from sphericalvision import core
 from sphericalvision.cameras import Camera, CameraRig, FisheyeCamera, PinholeCamera, ring_rig
 from sphericalvision.capture import Predictor
@@ -24,6 +23,7 @@ from sphericalvision.crown import Crown, CrownConv2d, to_crown
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork, IcoSweepNet
 from sphericalvision.sweep import SphereSweep
+from tests.values import names_in
 
 NAN = math.nan
 EYE, EYES = torch.eye(3), torch.eye(4)[None]
@@ -739,20 +739,6 @@ net().with_changes(nonesuch=1) -> nonesuch: Argument
 """
 """The call -> the argument that the message begins with: the type of the error, ``ArgumentError`` or another."""
 
-ROOMS = (
-    "cameras",
-    "capture",
-    "crown",
-    "data",
-    "geometry",
-    "icosphere",
-    "losses",
-    "metrics",
-    "models",
-    "scenes",
-)
-ROOMS += ("sphere", "sweep", "viz")
-
 
 def misuses() -> dict[str, tuple[str, str]]:
     """Call -> argument and type, of the table."""
@@ -762,8 +748,7 @@ def misuses() -> dict[str, tuple[str, str]]:
 
 def misuse(call: str) -> None:
     """Evaluate a call with all public names, and those of this file."""
-    rooms = [getattr(sphericalvision, room) for room in ROOMS]
-    eval(call, {name: getattr(room, name) for room in rooms for name in room.__all__} | globals())
+    eval(call, names_in(call) | globals())
 
 
 @pytest.mark.parametrize("call", misuses())

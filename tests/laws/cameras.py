@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -14,6 +14,7 @@ from sphericalvision.cameras import (
     AtanCamera,
     BrownConradyCamera,
     Camera,
+    CameraRig,
     DivisionCamera,
     DoubleSphereCamera,
     EquirectangularCamera,
@@ -25,7 +26,10 @@ from sphericalvision.cameras import (
     RadialPolynomialCamera,
     ThinPrismFisheyeCamera,
     UnifiedCamera,
+    ring_rig,
 )
+from sphericalvision.geometry import transform_from_axis_angle
+from tests.values import rand
 
 
 @dataclass(frozen=True)
@@ -217,3 +221,15 @@ CAMERAS = [
     ),
 ]
 MODELS: dict[str, Callable[[float], Camera]] = {case.name: case.make for case in CAMERAS}
+
+
+def uneven_rig(size: Sequence[int] = (36, 50)) -> CameraRig:
+    """Three lenses, one narrower and masked, turned and moved, around a centre off the origin."""
+    ring = ring_rig(3, 0.25, size, 3.7).to(dtype=torch.float64)
+    narrow = FisheyeCamera.from_field_of_view(size, 2.9).to(torch.float64)
+    wobble = transform_from_axis_angle(0.4 * rand(3, 3, seed=1) - 0.2, 0.1 * rand(3, 3, seed=2))
+    poses = ring.world_from_camera @ wobble
+    poses[:, :3, 3] += torch.tensor([0.3, -0.2, 0.5], dtype=torch.float64)
+    mask = torch.ones(*size, dtype=torch.bool)
+    mask[22:, :17] = False
+    return CameraRig({"a": ring.cameras["cam1"], "b": narrow, "c": ring.cameras["cam3"]}, poses, {"b": mask})

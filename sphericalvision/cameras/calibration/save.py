@@ -99,8 +99,9 @@ def save_rig(rig: CameraRig, path: str | Path, format: str | None = None) -> Non
 
 def _format(format: str | None, formats: Callable[[], tuple[str, ...]]) -> FileFormat:
     """The format of a name among ``formats``; the package's own needs none of the others."""
-    if format in (None, "native"):
-        return file_format("native")
+    format = format or "native"
+    if format == "native":
+        return file_format(format)
     written = formats()
     for other in file_formats():
         names = f"{other.name} {other.title}".lower().split()

@@ -68,7 +68,8 @@ def _read(path: Path, label: str, names: Mapping[str, str]) -> dict[str, float |
     columns = list(zip(*([row for row in rows if label in row] or rows), strict=False))
     first = int(max((int(name) for name in names if name.isdigit()), default=0) == len(rows))
     images = [names.get(str(number)) for number in range(first, first + len(rows))]
-    clocks, is_named = [], len(columns) == 1
+    clocks: list[list[float | None]] = []
+    is_named = len(columns) == 1
     for column in columns:
         listed = [names.get(Path(entry).name, names.get(entry.lstrip("0") or "0")) for entry in column]
         if len(set(listed) - {None}) > len(column) / 2:  # some images, or some lines, may be missing

@@ -329,7 +329,8 @@ class Videos(Recording):
             for name, stream in self.streams.items()
         }
         moments = pair_moments(positions, self._clocks(positions), tolerance, names="their numbers")
-        moments.warnings.extend(_say_if_begun_apart(self.streams, tolerance))
+        if "next to them" not in moments.pairing:  # tables know when each began
+            moments.warnings.extend(_say_if_begun_apart(self.streams, tolerance))
         super().__init__(moments, rig, whole)
         first = next(iter(self.streams.values()))
         self.rate, self._times = first.rate, moments.times

@@ -243,15 +243,14 @@ def test_selected_and_wanted_frames_are_those_of_all(tmp_path: Path, write: Writ
         source.names(Selection(12))
 
 
-@pytest.mark.parametrize("missing", ["cam2/timestamps.txt", None])
+@pytest.mark.parametrize("content", [None, "2023-11-14 22:13:20.000000000\n", "22:13:20\n" * 10])
 def test_times_beside_images_of_which_some_are_missing_do_not_count(
-    tmp_path: Path, missing: str | None
+    tmp_path: Path, content: str | None
 ) -> None:
     images = as_listed_files(tmp_path, EVERYTHING, "timestamps.txt")
-    if missing:
-        (tmp_path / missing).unlink()
-    else:
-        (tmp_path / "cam2/timestamps.txt").write_text("2023-11-14 22:13:20.000000000\n")
+    (tmp_path / "cam2/timestamps.txt").unlink()
+    if content:
+        (tmp_path / "cam2/timestamps.txt").write_text(content)
     source, told = opened(images)
     assert len(source.names(Selection()) or ()) == 10
     assert [("of cam2 have no time" in sentence) for sentence in told] == [True]

@@ -32,27 +32,26 @@ def listed_clock(
     Raises:
         ArgumentError: two tables tell different times.
     """
-    files: set[str] = set()
+    sources: set[str] = set()
     clock: dict[str, dict[str, float | None]] = {}
     for camera, folder in folders.items():
         clock[camera] = dict.fromkeys(names[camera].values())
         for place in (folder, folder.parent):
-            tables = {
-                file.name: times
-                for file in sorted(place.glob("*.[ct][sx][vt]"))
-                if _is_of(file.name, labels[camera], labels.values())
-                and (times := _read(file, labels[camera], names[camera]))
-            }
-            first, *others = [*tables, ""]
-            if others and any(tables[other] != tables[first] for other in others[:-1]):
+            files = sorted(place.glob("*.[ct][sx][vt]"))
+            files = [file for file in files if _is_of(file.name, labels[camera], labels.values())]
+            tables = {f.name: times for f in files if (times := _read(f, labels[camera], names[camera]))}
+            # A table that is called so and tells no times is said
+            unread = [file.name for file in files if re.search("(?i)time|stamp", file.name)]
+            first, *others = [*tables] or unread[:1] or [""]
+            if any(tables[other] != tables[first] for other in others):
                 raise ArgumentError(
                     f"images: {place / first} and {others[0]} tell different times; move one of them"
                 )
-            if first:
-                files.add(first)
-                clock[camera] |= tables[first]
+            sources |= {first} - {""}
+            clock[camera] |= tables.get(first, {})
+            if tables:
                 break
-    return Clock(f"the times in {' and '.join(sorted(files))} next to them", clock) if files else None
+    return Clock(f"the times in {' and '.join(sorted(sources))} next to them", clock) if sources else None
 
 
 def _is_of(name: str, label: str, labels: Iterable[str]) -> bool:

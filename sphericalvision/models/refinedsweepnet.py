@@ -31,7 +31,7 @@ from sphericalvision.models.depth_network import DepthNetwork
 from sphericalvision.models.hint_gate import HintedIndex, SweepClues
 from sphericalvision.models.icosweepnet import IcoSweepNet
 from sphericalvision.models.logit_fusion import FusedLogits, LogitFusion
-from sphericalvision.models.tried_hypotheses import at_index, between_hypotheses, two_modes
+from sphericalvision.models.tried_hypotheses import at_index, between_hypotheses, tried_index, two_modes
 from sphericalvision.models.weights.registry import register_network
 from sphericalvision.sweep import (
     DepthEstimate,
@@ -73,6 +73,9 @@ FARTHEST = 0.06
 """Index of the farthest surface, 250 times as far as the nearest hypothesis; no rig tells that from infinity."""
 PRIOR_SHARE = 0.1
 """Of the prior's own cross entropy in the loss."""
+ENTROPY_SHARE, EXPECTED_ERROR_SHARE = 0.1, 0.1
+"""Of the fused logits' cross entropy, and of the error that is expected by their probabilities. An index is an
+expectation around the best mode, so its error teaches nothing of other modes: these two do."""
 EDGE_WEIGHT = 2.0
 """What a vertex counts in the training beyond the others' 1 if its neighbours are more than a hypothesis apart."""
 RARE_SKY, MOST = 0.05, 4.0
@@ -376,9 +379,10 @@ class RefinedSweepNet(DepthNetwork):
     ) -> Float[Tensor, ""]:
         """Return a loss of the index at all levels, of the logits, of the prior, and of the confidence.
 
-        What fewer than two cameras see counts a quarter, what lies beside an edge three times. The share of the
-        logits, fused ones and the prior's, is the cross entropy of the two hypotheses around the true index. Of the
-        steps of the refinement the mean counts; they are not computed where neither it nor the gate for hints learns.
+        What fewer than two cameras see counts a quarter, what lies beside an edge three times. The logits, fused ones
+        and the prior's, learn the cross entropy of the two hypotheses around the true index, and the fused ones the
+        error that is expected by their probabilities. Of the steps of the refinement the mean counts; they are not
+        computed where neither it nor the gate for hints learns.
         The confidence learns 1 less the error of the index, in halves of hypotheses up to two; the sky, where the true
         index is 0: at infinity. Where there is little of it, behind windows, it counts more.
 
@@ -428,7 +432,8 @@ class RefinedSweepNet(DepthNetwork):
             coarse_true, coarse_valid
         )
         total = total + 0.4 * loss(modes[0], coarse_true, coarse_valid, weights=coarse_weights)
-        total = total + 0.05 * mean_of_samples(_cross_entropy(fused.logits, coarse_true), coarse_weights)
+        for share, error in ((ENTROPY_SHARE, _cross_entropy), (EXPECTED_ERROR_SHARE, _expected_error)):
+            total = total + share * mean_of_samples(error(fused.logits, coarse_true), coarse_weights)
         prior_level = self.coarse_level - 1
         ids = ids_of_coarser_level(self.coarse_level, prior_level, true.device)
         # The prior tries no hypotheses between the N.
@@ -482,6 +487,12 @@ def _edge_weights(true: Tensor, valid: Tensor) -> Tensor:
 def _cross_entropy(logits: Tensor, index: Tensor) -> Tensor:
     """``(B, V)`` of logits ``(B, 2 N - 1, V)`` and the two tried hypotheses around an index, in proportion."""
     return -at_index(logits.log_softmax(1), index)
+
+
+def _expected_error(logits: Tensor, index: Tensor) -> Tensor:
+    """``(B, V)``, hypotheses: the mean distance from an index by the probabilities of logits ``(B, 2 N - 1, V)``."""
+    distance = (tried_index(logits.shape[1], logits.device) - index[:, None]).abs()
+    return (logits.softmax(1) * distance).sum(1)
 
 
 register_network("refinedsweepnet", RefinedSweepNet)

@@ -28,7 +28,7 @@ from sphericalvision.models.candidate_refinement import (
 from sphericalvision.models.hexunet import HexUNet
 from sphericalvision.models.hint_gate import HintedIndex, HintGate, SweepClues, agreement
 from sphericalvision.models.logit_fusion import FusedLogits
-from sphericalvision.models.refinedsweepnet import FARTHEST, RARE_SKY
+from sphericalvision.models.refinedsweepnet import FARTHEST, RARE_SKY, _expected_error
 from sphericalvision.models.tried_hypotheses import two_modes
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.sweep import DepthHint, index_from_depth, inverse_depth_from_index
@@ -224,6 +224,29 @@ def test_prior_is_drawn_to_the_true_index(net, frame, index):
     clues = clues._replace(prior=prior)
     net.training_loss(images, rig, seen, target, valid, depth_index_huber, clues=clues).backward()
     assert (prior.grad.argmin(1) == index).all()
+
+
+def test_other_modes_are_drawn_to_the_true_index_the_more_the_nearer_they_are(net, frame):
+    """The index around the best mode, at 2, tells nothing of them; cross entropy alone draws to the true index only."""
+    images, rig, seen, true = frame
+    with torch.no_grad():
+        clues = net.clues(images, net.tables(rig), seen)
+    prior = torch.zeros_like(clues.prior)
+    prior[:, 2] = 6.0
+    clues = clues._replace(prior=prior.requires_grad_(), cost=torch.zeros_like(clues.cost))
+    target, valid = torch.full_like(true, 12), torch.ones_like(true, dtype=torch.bool)
+    net.training_loss(images, rig, seen, target, valid, depth_index_huber, clues=clues).backward()
+    drawn = -prior.grad.mean((0, 2))
+    assert drawn[12] > drawn[11] > drawn[10] > drawn[9] > drawn[8] > drawn[2]
+
+
+def test_the_expected_error_is_the_mean_distance_by_probability():
+    logits = (
+        torch.tensor([0.1, 0.2, 0.4, 0.2, 0.1]).log().view(1, 5, 1)
+    )  # of the indices 0, 1/2, 1, 3/2 and 2
+    assert _expected_error(logits, torch.tensor([[0.75]])).item() == pytest.approx(
+        0.1 * 0.75 + 0.2 * 0.25 + 0.4 * 0.25 + 0.2 * 0.75 + 0.1 * 1.25
+    )
 
 
 def sky_logit_gradient(net, frame, true, logit=RARE):

@@ -24,7 +24,7 @@ from tests.recipes.conftest import run_recipe
 from tests.recipes.test_batches import module_of
 from tests.recipes.tiny import Run, composed
 
-STAGES = ("prior", "coarse", "fusion", "finer", "hints")
+STAGES = ("prior", "coarse", "fusion", "finer", "longer", "hints")
 SMALL = """
 # @package _global_
 defaults: [/experiment/refinedsweepnet/{stage}]
@@ -55,7 +55,7 @@ def write_experiments(folder: Path) -> None:
         text = SMALL.format(stage=stage)
         if stage != "prior":
             text = text.replace("{level: 4, feature_channels: 4}", SIZES)
-        if stage == "finer":  # two steps of the refinement
+        if stage in ("finer", "longer"):  # two steps of the refinement
             text = text.replace(
                 "    4: {", "    7: {times: 0}\n    5: {seeds: [200, 1], times: 1, batch_size: 1}\n    4: {"
             )
@@ -83,11 +83,11 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def started(done: Path, tmp_path: Path) -> Iterator[Path]:
-    """The same as ``done``, of which the last two stages have not begun."""
+    """The same as ``done``, of which the last three stages have not begun."""
     folder = tmp_path / "again"
     shutil.copytree(done, folder)
     results = folder / "outputs/refinedsweepnet"
-    for stage in ("finer", "hints"):
+    for stage in STAGES[3:]:
         shutil.rmtree(results / stage)
         (results / f"{stage}.safetensors").unlink()
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
@@ -102,12 +102,13 @@ def weights(folder: Path, stage: str) -> dict[str, torch.Tensor]:
 
 
 def test_each_stage_starts_from_the_one_before_and_learns_its_part(done: Path) -> None:
-    prior, coarse, fusion, finer, hints = (weights(done, stage) for stage in STAGES)
+    prior, coarse, fusion, finer, longer, hints = (weights(done, stage) for stage in STAGES)
     assert all(torch.equal(value, coarse[f"prior.{name}"]) for name, value in prior.items())
     for before, after, parts in (
         (coarse, fusion, ("fusion", "refinement")),
         (fusion, finer, ("fusion", "refinement")),
-        (finer, hints, ("fusion.hint_gate.exit",)),
+        (finer, longer, ("fusion", "refinement")),
+        (longer, hints, ("fusion.hint_gate.exit",)),
     ):
         changed = {name for name, value in after.items() if not torch.equal(value, before[name])}
         assert changed
@@ -141,7 +142,7 @@ def test_a_stage_that_was_stopped_ends_with_the_same_weights(
     for path in damaged:
         path.write_bytes(path.read_bytes()[:-100])
     train(started)
-    for stage in ("finer", "hints"):
+    for stage in STAGES[3:]:
         result, expected = weights(started, stage), weights(done, stage)
         assert all(torch.equal(result[name], expected[name]) for name in expected)
 

@@ -432,8 +432,7 @@ class RefinedSweepNet(DepthNetwork):
             coarse_true, coarse_valid
         )
         total = total + 0.4 * loss(modes[0], coarse_true, coarse_valid, weights=coarse_weights)
-        for share, error in ((ENTROPY_SHARE, _cross_entropy), (EXPECTED_ERROR_SHARE, _expected_error)):
-            total = total + share * mean_of_samples(error(fused.logits, coarse_true), coarse_weights)
+        total = total + mean_of_samples(_loss_of_modes(fused.logits, coarse_true), coarse_weights)
         prior_level = self.coarse_level - 1
         ids = ids_of_coarser_level(self.coarse_level, prior_level, true.device)
         # The prior tries no hypotheses between the N.
@@ -489,10 +488,12 @@ def _cross_entropy(logits: Tensor, index: Tensor) -> Tensor:
     return -at_index(logits.log_softmax(1), index)
 
 
-def _expected_error(logits: Tensor, index: Tensor) -> Tensor:
-    """``(B, V)``, hypotheses: the mean distance from an index by the probabilities of logits ``(B, 2 N - 1, V)``."""
+def _loss_of_modes(logits: Tensor, index: Tensor) -> Tensor:
+    """``(B, V)``: cross entropy of logits ``(B, 2 N - 1, V)``, and the mean distance from the index by their shares."""
+    likely = logits.log_softmax(1)
     distance = (tried_index(logits.shape[1], logits.device) - index[:, None]).abs()
-    return (logits.softmax(1) * distance).sum(1)
+    expected_error = (likely.exp() * distance).sum(1)
+    return EXPECTED_ERROR_SHARE * expected_error - ENTROPY_SHARE * at_index(likely, index)
 
 
 register_network("refinedsweepnet", RefinedSweepNet)

@@ -163,9 +163,8 @@ carried().index, carried().information / 1e4 -> 3.5128
 pose_agreement(images(), RIG), camera_agreement(depth(level=4)), PhotoConsistency(4)(depth(level=4)) -> -0.9242
 Photometer(RIG).estimate(images(loss=0.6)) -> -1.4105
 Photometer(RIG).estimate(images(loss=0.6)).light(rand(3, 7).float()) -> 0.7122
-Compensator(RIG).smoothed(batch(noise=0.3)), denoised(batch(noise=0.3)["b"], RIG.masks["b"]) -> -11.3224
-Compensator(RIG, [2] * 3).smoothed(batch(noise=0.3)) -> -10.6729
-denoised(batch(noise=0.3)["b"], RIG.masks["b"], 2) -> 2.2481
+Compensator(RIG).smoothed(batch(noise=0.3)) -> -5.8041
+Compensator(RIG, Intake(RIG, Icosphere(2)).averaged).smoothed(batch(noise=0.3)) -> 2.6502
 Compensator(RIG).brightened(batch(dark=0.15)) -> -9.3910
 compensated(RIG, images(noise=0.2, loss=0.5)) -> -1.8858
 nearest_in_frames([images()], RIG) -> 0.2335

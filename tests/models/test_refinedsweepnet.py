@@ -28,7 +28,13 @@ from sphericalvision.models.candidate_refinement import (
 from sphericalvision.models.hexunet import HexUNet
 from sphericalvision.models.hint_gate import HintedIndex, HintGate, SweepClues, agreement
 from sphericalvision.models.logit_fusion import FusedLogits
-from sphericalvision.models.refinedsweepnet import FARTHEST, RARE_SKY, _expected_error
+from sphericalvision.models.refinedsweepnet import (
+    ENTROPY_SHARE,
+    EXPECTED_ERROR_SHARE,
+    FARTHEST,
+    RARE_SKY,
+    _loss_of_modes,
+)
 from sphericalvision.models.tried_hypotheses import two_modes
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.sweep import DepthHint, index_from_depth, inverse_depth_from_index
@@ -240,13 +246,14 @@ def test_other_modes_are_drawn_to_the_true_index_the_more_the_nearer_they_are(ne
     assert drawn[12] > drawn[11] > drawn[10] > drawn[9] > drawn[8] > drawn[2]
 
 
-def test_the_expected_error_is_the_mean_distance_by_probability():
+def test_modes_learn_cross_entropy_and_the_mean_distance_by_probability():
     logits = (
         torch.tensor([0.1, 0.2, 0.4, 0.2, 0.1]).log().view(1, 5, 1)
     )  # of the indices 0, 1/2, 1, 3/2 and 2
-    assert _expected_error(logits, torch.tensor([[0.75]])).item() == pytest.approx(
-        0.1 * 0.75 + 0.2 * 0.25 + 0.4 * 0.25 + 0.2 * 0.75 + 0.1 * 1.25
-    )
+    entropy = -(math.log(0.2) + math.log(0.4)) / 2
+    distance = 0.1 * 0.75 + 0.2 * 0.25 + 0.4 * 0.25 + 0.2 * 0.75 + 0.1 * 1.25
+    loss = _loss_of_modes(logits, torch.tensor([[0.75]])).item()
+    assert loss == pytest.approx(ENTROPY_SHARE * entropy + EXPECTED_ERROR_SHARE * distance)
 
 
 def sky_logit_gradient(net, frame, true, logit=RARE):

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Threads of a process: how many cores it may use, and how soon a thread without work sleeps.
+"""Threads and memory of a process: the cores it may use, how soon a thread without work sleeps, what memory is kept.
 
 Imports nothing heavy: the runtime of OpenMP reads its settings when torch is loaded, and never again.
 """
 
 from __future__ import annotations
 
+import ctypes
 import math
 import os
 import re
@@ -23,14 +24,19 @@ ones, 1.27, 1.13, 1.01 and 1.6 times next to two busy processes, and the first f
 WAITING = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT", "KMP_BLOCKTIME")
 """Variables by which a user says how threads wait."""
 
+M_TRIM_THRESHOLD, M_MMAP_MAX = -1, -4
+"""Settings of glibc's ``mallopt``: bytes from which freed memory goes back; how many blocks have pages of their own."""
+
 
 def prepare_threads() -> None:
-    """Choose the number of torch's threads and how they wait; to be called before torch is imported.
+    """Choose the number of torch's threads and how they wait, and keep memory; to be called before torch is imported.
 
     Threads that wait sleep soon, and there are no more than the process may use: a container with a quota of one core
     gets one thread, on however many cores its machine has. What the variables ``OMP_*``, ``GOMP_*`` and ``KMP_*`` say
-    counts instead; an ``OMP_NUM_THREADS`` that is no number is reported and ignored.
+    counts instead; an ``OMP_NUM_THREADS`` that is no number is reported and ignored. What is freed stays the process',
+    unless ``MALLOC_*`` or ``GLIBC_TUNABLES`` are set: the next frame needs as much.
     """
+    _keep_freed_memory()
     if "torch" in sys.modules:
         return
     if not any(os.environ.get(name) for name in WAITING):
@@ -47,6 +53,16 @@ def prepare_threads() -> None:
     # Without a quota OpenMP's own choice is right: the cores that the process may run on.
     if not number and "OMP_THREAD_LIMIT" not in os.environ and available_cores() < _scheduled_cores():
         os.environ["OMP_NUM_THREADS"] = str(available_cores())
+
+
+def _keep_freed_memory() -> None:
+    """Let glibc give nothing back: pages that come anew are cleared one by one, a tenth of a frame's time and more."""
+    if any(name.startswith("MALLOC_") or name == "GLIBC_TUNABLES" for name in os.environ):
+        return
+    with suppress(OSError, AttributeError, TypeError):  # another C library
+        mallopt = ctypes.CDLL(None).mallopt
+        mallopt(M_MMAP_MAX, 0)
+        mallopt(M_TRIM_THRESHOLD, 2**31 - 1)
 
 
 def available_cores() -> int:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Threads: their number follows affinity and quotas, their waiting is short, and what a user sets counts."""
+"""Threads and memory: number by affinity and quotas, short waits, freed memory is kept, and what a user sets counts."""
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
 from pathlib import Path
@@ -21,6 +22,19 @@ os.environ.update(word.split("=") for word in sys.argv[1:])
 from sphericalvision.threads import prepare_threads
 prepare_threads()
 print(*(os.environ.get(name) for name in ("GOMP_SPINCOUNT", "OMP_NUM_THREADS")))
+"""
+
+MEMORY = """
+import os, resource, sys
+os.environ.update(word.split("=") for word in sys.argv[1:])
+from sphericalvision.threads import prepare_threads
+prepare_threads()
+faults = []
+for time in range(3):
+    block = bytearray(b"1") * (3 * 2**24)  # larger than what glibc learns to keep by itself
+    del block
+    faults.append(resource.getrusage(resource.RUSAGE_SELF).ru_minflt)
+print(faults[2] - faults[1])
 """
 
 
@@ -53,6 +67,12 @@ def test_cores_are_those_of_affinity_and_quota(
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(4)), raising=False)
     monkeypatch.setattr("sphericalvision.threads._quotas", lambda *arguments: quotas)
     assert available_cores() == cores
+
+
+@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "mallopt"), reason="another C library than glibc")
+def test_freed_memory_is_kept_unless_the_user_says_otherwise() -> None:
+    assert int(python("-c", MEMORY)) < 100
+    assert int(python("-c", MEMORY, "MALLOC_ARENA_MAX=4")) > 2000
 
 
 def test_threads_sleep_soon() -> None:

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError, FileFormatError, ShapeError, check_choice, check_file
 from sphericalvision.io.files import read_bytes, write_bytes
+from sphericalvision.io.times import seconds
 
 MAX_PIXELS = 2**27
 """Pixels of all pages of an image file together; a file that says it has more is refused before it is decoded."""
@@ -95,6 +96,16 @@ def read_image_size(path: str | Path) -> Size:
             return image.height, image.width
     height, width = read_pages(path)[0].shape[:2]
     return height, width
+
+
+def read_exif_time(path: str | Path) -> float | None:
+    """Seconds at which a camera took a picture, by its own clock, as EXIF tells them; None where it does not."""
+    from PIL import Image  # only who reads files pays for it
+
+    with suppress(Exception), Image.open(path) as image:
+        exif = image.getexif().get_ifd(0x8769)
+        return seconds([f"{exif[0x9003].replace(':', '-', 2)}.{exif.get(0x9291) or '0':0<3.3}"])[0]
+    return None
 
 
 def read_image(

@@ -28,16 +28,35 @@ _DATE = re.compile(
 """Year, month, day, hour, minute, second and their fraction; ``_001`` counts the images of a second."""
 
 
-def seconds(names: Sequence[str]) -> list[float | None]:
+_UNIT = re.compile(
+    r"(?:(?<![A-Za-z])|(?<=[a-z])(?=[A-Z]))([NnUuµ]|[Mm]ic|[Mm])(?:ano|ro|illi)?[sS](?:ec(?:ond)?s?)?(?![A-Za-z])"
+    r"|(?i:time(?:code|stamp) format v2)"
+)
+"""Of times, in the header of a table; the last one, of tables for mkvmerge, stands for milliseconds."""
+
+
+def unit_in(header: str) -> float | None:
+    """Seconds of the smaller unit that a header names.
+
+    Examples:
+        >>> unit_in("timestamp [ns]"), unit_in("time_us"), unit_in("# timecode format v2"), unit_in("time (s)")
+        (1e-09, 1e-06, 0.001, None)
+    """
+    match = _UNIT.search(header)
+    return match and {"n": 1e-9, "m": 1e-3}.get((match[1] or "m").lower(), 1e-6)
+
+
+def seconds(names: Sequence[str], unit: float | None = None) -> list[float | None]:
     """The time in seconds that each name tells; None of a name that tells none.
 
-    A time is a number, with a sign, decimals or an exponent or without: nanoseconds, microseconds, milliseconds or
-    seconds by its magnitude; or two numbers, seconds and their fraction in nanoseconds, or in microseconds where no
-    name of all has more than six digits of it and seconds are since 1970. A word before the first underscore
-    (``cloud_...``) may stand before times since 1970, in nanoseconds or with decimals: ``frame_12`` is a count,
-    ``1920_1080`` a size. Dates (``20240131_235959``, ``2024-01-31 23:59:59``) are times where all tell fractions of a
-    second (``PXL_20240131_235959123``, ``2024-01-31T23-59-59.123456Z``), too. Decimals of unequal lengths up to nine,
-    some of which end in 0, are nanoseconds without the zeros in front: no program writes fractions so.
+    With ``unit`` names are numbers of it. Else a time is a number, with a sign, decimals or an exponent or without:
+    nanoseconds, microseconds, milliseconds or seconds by its magnitude; or two numbers, seconds and their fraction in
+    nanoseconds, or in microseconds where no name of all has more than six digits of it and seconds are since 1970. A
+    word before the first underscore (``cloud_...``) may stand before times since 1970, in nanoseconds or with decimals:
+    ``frame_12`` is a count, ``1920_1080`` a size. Dates (``20240131_235959``, ``2024-01-31 23:59:59``) are times where
+    all tell fractions of a second (``PXL_20240131_235959123``, ``2024-01-31T23-59-59.123456Z``), too. Decimals of
+    unequal lengths up to nine, some of which end in 0, are nanoseconds without the zeros in front: no program writes
+    fractions so.
 
     Examples:
         >>> seconds(["cloud_1700000000_250000000", "1700000000.25", "1700000000250000000", "1.70000000025e+18"])
@@ -47,6 +66,8 @@ def seconds(names: Sequence[str]) -> list[float | None]:
         >>> seconds(["12", "frame_12", "frame_12.5", "1920_1080", "20240131_235959"])
         [12.0, None, 12.5, None, None]
     """
+    if unit is not None:
+        return [unit * float(name) if _NUMBER.fullmatch(name) else None for name in names]
     stems = [re.sub(r"^[A-Za-z]+_(?=\d)", "", name) for name in names]
     dates = [date for stem in stems if (date := _DATE.fullmatch(stem))]
     if len(dates) == len(stems):

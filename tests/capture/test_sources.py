@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from sphericalvision.cameras import CameraRig, PinholeCamera, ring_rig
 from sphericalvision.capture.sources.frames import Frame, Selection, Source
@@ -88,27 +89,33 @@ def as_counted_files(folder: Path, moments: Moments) -> str:
 
 def as_listed_files(folder: Path, moments: Moments, listing: str) -> str:
     """Image files called by their numbers in the order of each camera, with a table of their times next to them."""
-    together = ["frame,camera,time"]
+    together, milliseconds = ["frame,camera,time"], {}
     for camera, own in moments.items():
-        lines = ["frame,time" if listing == "times.csv" else "# times"]
+        heads = {"times.csv": "frame,time", "timecodes.txt": "# timecode format v2"}
+        lines = [heads.get(listing, "# times")]
         for number, moment in enumerate(own):
             time = 1_700_000_000 * 10**9 + round(seconds(camera, moment) * 1e9)
             write_image(folder / f"{camera}/data/{number:06d}.png", picture(moment))
             write_image(folder / f"{camera}/{number:06d}.png", picture(moment))
             together.append(f"{number},{camera},{time / 1e9:.9f}")
+            milliseconds.setdefault(number, {})[camera] = f"{time / 1e6 % 1e7:.3f}"
             date = f"2023-11-14 22:13:{20 + (time // 10**9) % 40:02d}.{time % 10**9:09d}"
             columns = {
                 "data.csv": f"{time},{number:06d}.png",
                 "times.txt": f"{number:05d} {time / 1e9:.9f} 3.0",
                 "times.csv": f"{number},{time / 1e9:.9f}",
+                "timecodes.txt": f"{time / 1e6 % 1e7:.3f}",
             }
             lines.append(columns.get(listing, date))
         (folder / camera / listing).write_text("\n".join(lines))
-    if listing == "metadata.csv":
+    if listing == "stamps.csv":  # a column of each camera
+        rows = [",".join((str(n), *(row.get(c, "") for c in moments))) for n, row in milliseconds.items()]
+        together = [",".join(("frame", *(f"{camera} [ms]" for camera in moments))), *rows]
+    if listing in ("metadata.csv", "stamps.csv"):
         (folder / listing).write_text("\n".join(together))
         for camera in moments:
             (folder / camera / listing).unlink()
-    return f"{folder}/{{camera}}/{'' if listing == 'metadata.csv' else 'data/'}{{frame}}.png"
+    return f"{folder}/{{camera}}/{'' if listing in ('metadata.csv', 'stamps.csv') else 'data/'}{{frame}}.png"
 
 
 def write_streams(path: Path, streams: Sequence[tuple[str, Sequence[int]]], is_steady: bool = False) -> None:
@@ -186,7 +193,10 @@ SOURCES: dict[str, Writer] = {
     "files called by number": as_counted_files,
     **{
         f"files that {name} lists": partial(as_listed_files, listing=name)
-        for name in ("data.csv", "timestamps.txt", "times.txt", "times.csv", "metadata.csv")
+        for name in (
+            *("data.csv", "timestamps.txt", "times.txt", "times.csv", "metadata.csv"),
+            *("timecodes.txt", "stamps.csv"),
+        )
     },
     "videos": as_videos,
     "videos of a steady rate that tables list": as_listed_videos,
@@ -476,6 +486,30 @@ def test_videos_that_say_themselves_that_they_begin_apart_are_told(
             file.mux(target.encode(None))
     _, told = opened(str(tmp_path / "{camera}.mov"), rig)
     assert ["2 s apart" in sentence for sentence in told] == [True] * is_told
+
+
+@pytest.mark.parametrize(("missed", "is_told"), [(4, True), (None, False)])
+def test_a_picture_that_one_camera_missed_is_told_by_exif(
+    tmp_path: Path, missed: int | None, is_told: bool
+) -> None:
+    for camera in RIG.names:
+        (tmp_path / camera).mkdir()
+        taken = [moment for moment in range(12) if camera != "cam2" or moment != missed]
+        for number, moment in enumerate(taken):
+            exif = Image.Exif()
+            clock = 7 if camera == "cam3" else 0
+            exif.get_ifd(0x8769)[0x9003] = f"2024:05:01 10:{moment:02d}:{clock:02d}"
+            Image.fromarray(picture(1)).save(tmp_path / camera / f"{number}.jpg", exif=exif)
+    _, told = opened(f"{tmp_path}/{{camera}}/{{frame}}.jpg")
+    assert any("by EXIF those of cam2" in sentence for sentence in told) == is_told
+
+
+def test_times_that_are_not_read_are_told(tmp_path: Path) -> None:
+    images = as_videos(tmp_path / "a", EVERYTHING)
+    for camera in RIG.names:
+        np.save(tmp_path / "a" / f"{camera}_timestamps.npy", np.arange(10.0))
+    (sentence,) = opened(images)[1]
+    assert "cam1_timestamps.npy" in sentence
 
 
 def test_two_tables_of_other_times_are_refused(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ from sphericalvision.cameras.calibration.parsing import (
 )
 from sphericalvision.cameras.calibration.poses import transform_from_rows
 from sphericalvision.core import FileFormatError, short_repr
-from sphericalvision.io.times import SAME_TIME
+from sphericalvision.io.times import SAME_TIME, unit_in
 
 _NEVER_MATTER = re.compile(
     "(time|date|stamp|timestamp|comment|note|description|author|error|rms|residual|board|square|marker|chessboard|charuco|aruco"
@@ -261,7 +261,7 @@ def check_understood(content: Any, where: str, ignored: str, way: str = "") -> N
 def _check_clocks(entries: list[Keys], where: str) -> None:
     """Warn of cameras whose clocks differ, by as much as keeps their images apart."""
     for key in dict.fromkeys(key for entry in entries for key in entry if _DELAY.fullmatch(str(key))):
-        unit = 1e-9 if key.lower().endswith("ns") else 1.0
+        unit = unit_in(key) or 1.0
         delays = {
             entry.at(key): unit * entry.number(key) for entry in entries if dict.__contains__(entry, key)
         }

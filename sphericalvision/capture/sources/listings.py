@@ -4,16 +4,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from sphericalvision.capture.sources.moments import Clock
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.files import read_text
-from sphericalvision.io.times import are_counts, seconds
+from sphericalvision.io.times import are_counts, seconds, unit_in
 
-_TABLE = re.compile(r"(?i)(data|rgb|meta_?data|frames|.*(time|stamp).*)\.(csv|txt)")
+_TABLE = re.compile(r"(?i)(data|rgb|meta_?data|frames|.*(time|stamp).*)\.\w+")
 """Names of such tables of any camera."""
+_TEXTS, _UNREAD = (".csv", ".txt"), (".npy", ".json")
 
 
 def listed_clock(
@@ -21,8 +22,9 @@ def listed_clock(
 ) -> Clock | None:
     """The times in tables next to images or above their folders; None if no camera has one.
 
-    A line has a time, and in other columns the image's file or number, and the camera if a table has several; or it is
-    the time of the image of its number, counted from 0 or 1.
+    A line has a time, and in other columns the image's file or number, and the camera if a table has several; or a time
+    in a column of each camera; or it is the time of the image of its number, counted from 0 or 1. A header may tell the
+    unit of times.
 
     Args:
         folders: of each camera's images.
@@ -37,9 +39,13 @@ def listed_clock(
     for camera, folder in folders.items():
         clock[camera] = dict.fromkeys(names[camera].values())
         for place in (folder, folder.parent):
-            files = sorted(place.glob("*.[ct][sx][vt]"))
+            files = sorted(file for file in place.glob("*") if file.suffix in _TEXTS + _UNREAD)
             files = [file for file in files if _is_of(file.name, labels[camera], labels.values())]
-            tables = {f.name: times for f in files if (times := _read(f, labels[camera], names[camera]))}
+            tables = {
+                f.name: times
+                for f in files
+                if (times := _read(f, labels[camera], [*labels.values()], names[camera]))
+            }
             # A table that is called so and tells no times is said
             unread = [file.name for file in files if re.search("(?i)time|stamp", file.name)]
             first, *others = [*tables] or unread[:1] or [""]
@@ -60,23 +66,38 @@ def _is_of(name: str, label: str, labels: Iterable[str]) -> bool:
     return match[1] == label if match and match[1] else bool(_TABLE.fullmatch(name))
 
 
-def _read(path: Path, label: str, names: Mapping[str, str]) -> dict[str, float | None]:
-    """Image -> seconds of the table of one camera, or of its lines in a table of all; empty if it is something else."""
-    rows = [_entries(line.strip()) for line in read_text(path).splitlines() if not line.startswith("#")]
-    rows = [row for row in rows if any(entry.isdigit() or seconds([entry]) != [None] for entry in row)]
+def _read(path: Path, label: str, labels: Sequence[str], names: Mapping[str, str]) -> dict[str, float | None]:
+    """Image -> seconds of the table of one camera, or of its part in a table of all; empty if it is something else."""
+    rows: list[list[str]] = []
+    header: list[str] = []
+    for line in read_text(path).splitlines() if path.suffix in _TEXTS else ():
+        entries = _entries(line.strip("# \t"))
+        if not line.startswith("#") and any(e.isdigit() or seconds([e]) != [None] for e in entries):
+            rows.append(entries)
+        elif not rows:
+            header = entries
     columns = list(zip(*([row for row in rows if label in row] or rows), strict=False))
+    if len(header) != len(columns):  # words of one column, or nobody knows of which
+        header = [" ".join(header) if len(columns) == 1 else ""] * len(columns)
+    owners = [re.search(rf"(?<!\d)({'|'.join(map(re.escape, labels))})(?![A-Za-z0-9])", h) for h in header]
+    has_all = {owner[1] for owner in owners if owner} == set(labels)  # a column of each camera
     first = int(max((int(name) for name in names if name.isdigit()), default=0) == len(rows))
     images = [names.get(str(number)) for number in range(first, first + len(rows))]
     clocks: list[list[float | None]] = []
     is_named = len(columns) == 1
-    for column in columns:
+    for column, word, owner in zip(columns, header, owners, strict=True):
+        if has_all and owner and owner[1] != label:
+            continue
+        unit, times = unit_in(word), seconds(column, unit_in(word))
         listed = [names.get(Path(entry).name, names.get(entry.lstrip("0") or "0")) for entry in column]
-        if len(set(listed) - {None}) > len(column) / 2:  # some images, or some lines, may be missing
+        if unit is None and len(set(listed) - {None}) > len(column) / 2:  # images, or lines, may be missing
             images, is_named = listed, True
-        elif not are_counts(column) and len({None, *seconds(column)}) > len(
-            column
-        ):  # all tell times of their own
-            clocks.append(seconds(column))
+            continue
+        missing = times.count(None) * has_all
+        if (unit or not are_counts(column)) and len({*times} - {None}) + missing == len(
+            times
+        ):  # of their own
+            clocks.insert(0 if has_all and owner else len(clocks), times)
     pairs = zip(images, clocks[0], strict=True) if clocks and is_named else ()
     return {image: time for image, time in pairs if image}
 

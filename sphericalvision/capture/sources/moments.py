@@ -12,6 +12,8 @@ from sphericalvision.io.times import SAME_TIME, in_order, nearest_in_time
 MAX_UNTIMED = 0.1
 """Fraction of a camera's images without a time of their own, above which a clock tells nothing. A driver that loses a
 stamp now and then loses that image; one that never sets it, or sets the same one, must not lose all others."""
+WHOLE_SECONDS = 1.5
+"""By which times of one moment may differ that cameras write in whole seconds."""
 
 Images = Mapping[str, Mapping[str, Any]]
 """Camera -> name of an image -> what its source reads it by."""

@@ -10,8 +10,9 @@ from collections.abc import Container, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from sphericalvision.capture.sources.listings import listed_clock
-from sphericalvision.capture.sources.moments import Clock, Moments, pair_moments
+from sphericalvision.capture.sources.moments import WHOLE_SECONDS, Clock, Moments, pair_moments
 from sphericalvision.core import ArgumentError, MissingFileError
+from sphericalvision.io.images import read_exif_time
 from sphericalvision.io.times import SAME_TIME, are_counts, in_order, seconds
 
 EXAMPLE = "'capture/cam{camera}/{frame:05d}.png'"
@@ -60,6 +61,8 @@ def find_files(
     if not clocks:  # equal names say themselves what belongs together
         moments = moments._replace(pairing="")
     if requested is None:
+        if moments.clock is None and "frame" in _fields(pattern, key):
+            moments.warnings.extend(_say_if_taken_apart(list(moments.frames.values()), key))
         return moments
     for frame in requested:
         if frame in moments.frames:
@@ -80,6 +83,20 @@ def find_files(
             f"{key}: {path}: no such file. The first frames there are {hint}. Correct frames= or the pattern"
         )
     return moments._replace(frames={frame: moments.frames[frame] for frame in requested}, warnings=[])
+
+
+def _say_if_taken_apart(frames: Sequence[Mapping[str, Path]], key: str) -> list[str]:
+    """A sentence on pictures of one name, between which EXIF tells other times in one frame than in another."""
+    chosen = [frames[k * (len(frames) - 1) // 8] for k in range(9)]
+    for camera in frames[0]:
+        pairs = [[read_exif_time(file) for file in (next(iter(f.values())), f[camera])] for f in chosen]
+        apart = [time - own for own, time in pairs if own is not None and time is not None]
+        if apart and (gap := max(apart) - min(apart)) > WHOLE_SECONDS:
+            return [
+                f"{key}: pictures are paired by names, but by EXIF those of {camera} come up to {gap:.3g} s later in "
+                "some frames than in others; did a camera miss one? Name files by their times"
+            ]
+    return []
 
 
 def _check_one_kind(names: Iterable[str], pattern: str, key: str) -> None:

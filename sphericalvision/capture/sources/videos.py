@@ -21,7 +21,7 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.sources.frames import Recording
 from sphericalvision.capture.sources.joined_views import size_of_view
 from sphericalvision.capture.sources.listings import listed_clock
-from sphericalvision.capture.sources.moments import Clock, pair_moments
+from sphericalvision.capture.sources.moments import WHOLE_SECONDS, Clock, pair_moments
 from sphericalvision.core import ArgumentError, FileFormatError, first_line
 from sphericalvision.io.times import SAME_TIME
 
@@ -36,8 +36,6 @@ VIDEO_SUFFIXES = (
         ".ts",
     ),  # of 360 cameras and camcorders, maybe of several streams
 )
-WHOLE_SECONDS = 1.5
-"""Of times of creation, by which recordings of one moment may differ."""
 MAX_MISSING = 2**20
 """Pictures that a header may count behind the end of a file; nine hours of them. A damaged one counts billions."""
 Picture = npt.NDArray[np.uint8]

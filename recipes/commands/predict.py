@@ -19,7 +19,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, Trajectory, read_rig, save_rig
-from sphericalvision.cameras.calibration.parsing import PLAUSIBLE
 from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.cameras.robot_frame import placed, tilt_of
 from sphericalvision.cameras.trajectory import upright_turn
@@ -199,13 +198,7 @@ def open_frames(config: PredictConfig) -> Source:
     names = source.names(config.capture.selection)
     count = "live" if names is None else f"{len(names)} frame(s)"
     cameras = "cameras" if config.capture.poses is None else "images in a window"
-    radius = float(source.rig.radius)
-    console.print(f"{count}, {len(source.rig)} {cameras}, rig radius {radius:.3f} m")
-    if isinstance(source, Moving) and not PLAUSIBLE[0] <= radius <= PLAUSIBLE[1]:
-        print(
-            f"Warning: poses: images of a window are {radius:.4g} m from their centre on average, which is implausible "
-            "(expected 5 mm to 5 m). Trajectories are in metres: check their unit, and spacing=."
-        )
+    console.print(f"{count}, {len(source.rig)} {cameras}, rig radius {float(source.rig.radius):.3f} m")
     return source
 
 

@@ -33,6 +33,8 @@ HALF = (torch.float16, torch.bfloat16)
 _PAIRS = ("image_size", "latitudes", "longitudes")  # of plain numbers
 MAX_PIXELS = 2**27
 """Of the largest image of a camera, as of the largest file that is read: directions of its pixels take 1.5 GB."""
+PLAUSIBLE = (0.005, 5.0)
+"""Metres: radii of rigs and of windows; of others the positions have another unit."""
 
 AnyFunction = TypeVar("AnyFunction", bound=Callable[..., Any])
 

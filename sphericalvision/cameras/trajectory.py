@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -12,7 +13,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.checks import check_poses
+from sphericalvision.cameras.checks import PLAUSIBLE, check_poses
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.io.times import SAME_TIME, are_counts, nearest_in_time, seconds
@@ -127,12 +128,19 @@ class Trajectory:
             self.world_from_camera
         )
         center = numbers[len(numbers) // 2]
-        return CameraRig(
+        rig = CameraRig(
             {view: camera.cameras[name] for view, name in views.items()},
             poses.flatten(0, 1),
             {view: camera.masks[name] for view, name in views.items() if name in camera.masks},
             [called(name, center) for name in camera.around or camera.names] if len(camera) > 1 else None,
         ).to(dtype=torch.get_default_dtype())
+        if len(numbers) > 1 and not PLAUSIBLE[0] <= (radius := float(rig.radius)) <= PLAUSIBLE[1]:
+            warnings.warn(
+                f"poses: images of a window are {radius:.1g} m from their centre on average, which is implausible "
+                "(expected 5 mm to 5 m). Trajectories are in metres: check their unit, and spacing=",
+                stacklevel=3,
+            )
+        return rig
 
     @full_precision
     def turned(self, up: str) -> Trajectory:

@@ -174,7 +174,11 @@ WORDS: dict[str, list[tuple[str, str, str]]] = {  # file -> what stands in it, w
     ],
     "atan.yaml": [("cam_width", "crop: 1, cam_width", "'crop' is not understood")],
     "okvis.yaml": [("cameras:", "binning: 2\ncameras:", "'binning' is not understood")],
-    "settings.yaml": [("Camera.fps", "resize: 2\nCamera.fps", "'resize' is not understood")],
+    "settings.yaml": [
+        ("Camera.fps", "resize: 2\nCamera.fps", "'resize' is not understood"),
+        ("Camera.fps", "LEFT.K: [[1]]\nCamera.fps", "'LEFT.K' is not understood"),
+        ("Camera.fps", "Stereo.b: 0.7\nCamera.fps", "Stereo.b: expected the"),
+    ],
     "camchain.yaml": [
         ("362.7", "6:02.7", "intrinsics (fu fv pu pv): expected numbers"),
         ("cam1:", "cam7:", "cam2: cam1, the camera before, is missing"),

@@ -61,6 +61,12 @@ TABLES = {
     "prose": table(way(), "# ground truth trajectory by x, y and z", W_LAST, " "),
     "another name of time": table(way(), "# ts tx ty tz qw qx qy qz", W_FIRST, " "),
     "semicolons": table(way(), "time;x;y;z;qx;qy;qz;qw", W_LAST, ";"),
+    "aria": table(
+        way(),
+        "utc_timestamp_ns," + ",".join(f"{c}_world_device" for c in f"t{W_LAST}".split()) + ",graph_uid",
+        W_LAST,
+        more=",a-b",
+    ),
     "tabs": table(way(), "time\tx\ty\tz\tqx\tqy\tqz\tqw", W_LAST, "\t"),
     "quoted": table(way(), '"time","tx","ty","tz","qx","qy","qz","qw"', W_LAST),
     "an end of lines of Windows": table(way(), EUROC, W_FIRST, ",", ",0.5\r"),
@@ -160,6 +166,7 @@ SEVERAL = "t x y z qw qx qy qz {}\n0 0 0 0 1 0 0 0 0\n1 0 0 0 1 0 0 0 0\n2 0 0 0
         ("0.1 0 0 0 0 0 0 1\n0.100 1 0 0 0 0 0 1", r"two poses are called 0\.100"),
         ("0.1 0 0 0 0 0 0 1\n0.2 1e30 0 0 0 0 0 1", r"more than 1e\+08 m from the origin; expected metres"),
         ("0.1 0 0 0 0 0 0 1\n0.2 nan 0 0 0 0 0 1", "line 2: expected finite numbers"),
+        ("t x y z qw qx qy qz scale\n0 0 0 0 1 0 0 0 1.1", "expected 1 in the column scale"),
         ("-1 0 0 0 0 1 0 0 0 0 1 0", r"line 1: expected a rotation.*got a mirror \(determinant -1\)"),
         *((decimal_commas(text), "line 2: decimals have commas") for text in COMMAS),
         ("1 0 0 0 0 2 0 0 0 0 1 0", "line 1: expected a rotation"),
@@ -232,6 +239,16 @@ def test_windows_pass_over_what_is_too_near() -> None:
     trajectory = Trajectory(list("abcdef"), poses)
     assert trajectory.windows(2) == [[0, 1], [1, 2], [2, 3], [3, 4], [4, 5]]
     assert trajectory.windows(3, spacing=0.1) == [[0, 1, 4], [1, 4, 5]]
+
+
+@pytest.mark.parametrize(("metres", "is_told"), [(0.1, False), (100.0, True), (1e-5, True)])
+def test_a_window_of_a_size_that_no_rig_has_is_asked_about(metres: float, is_told: bool) -> None:
+    poses = torch.eye(4).repeat(3, 1, 1)
+    poses[:, 2, 3] = metres * torch.arange(3)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        Trajectory(["a", "b", "c"], poses).rig(CAMERA, [0, 1, 2])
+    assert [str(w.message).startswith("poses: images of a window") for w in caught] == [True] * is_told
 
 
 def test_a_window_is_a_rig_with_the_poses_of_its_images() -> None:

@@ -68,6 +68,8 @@ _FOUR = ("kannala_brandt", "unified")
 
 def recognizes(content: dict[str, Any]) -> bool:
     """Whether a parsed file has a camera matrix, or the rotation and translation between two cameras."""
+    if "Camera.type" in content or "Camera.fx" in content:  # ORB-SLAM's, whose LEFT.K is of other images
+        return False
     keys = [key for index in ("", "1") if (key := find(content, MATRIX, index))]
     if any(len(key) > 2 or isinstance(content[key], Mapping | list) for key in keys):
         return True

@@ -54,6 +54,11 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
         return calibration.add("cam1", _camera(content, first), content.at(first), body).contents
     calibration.add("cam1", _camera(content, first), content.at(first), start)
     second = None if stereo is None else start @ stereo
+    length = 0.0 if stereo is None else float(stereo[:3, 3].norm())
+    if length and abs(length - content.number("Stereo.b", length)) > 0.05 * length:
+        raise FileFormatError(
+            f"{content.at('Stereo.b')}: expected the {length:.3g} m of T_c1_c2, got another baseline; correct one"
+        )
     return calibration.add("cam2", _camera(content, "Camera2"), content.at("Camera2"), second).contents
 
 

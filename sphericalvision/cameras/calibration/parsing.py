@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from sphericalvision.cameras.checks import PLAUSIBLE
 from sphericalvision.cameras.registry import model_meant
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import FileFormatError, SphericalVisionError, short_repr
@@ -18,8 +19,6 @@ from sphericalvision.core import FileFormatError, SphericalVisionError, short_re
 METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 FARTHEST = 1e8
 """Metres from the origin; no place on Earth is as far from its centre."""
-PLAUSIBLE = (0.005, 5.0)
-"""Metres: radii of rigs and of windows; of others the positions have another unit."""
 LARGEST_SIDE = 100_000
 """Of an image, in pixels; more is taken for a damaged file."""
 

@@ -44,14 +44,14 @@ _HEADERS = {
     "seconds": re.compile(r"(?i)\S*(time|stamp)[_./]?(s|secs?|seconds)|secs?|seconds"),
     "nanoseconds": re.compile(r"(?i)\S*(time|stamp)[_./]?n(ano)?(s|secs?|seconds)|n(ano)?(secs?|seconds)"),
 } | {
-    name: re.compile(rf"(?i)(q|q_|q_\w+_|quat(ernion)?[_.]?|orientation[_.]?){name[1]}")
+    name: re.compile(rf"(?i)(q|q_|q_\w+_|quat(ernion)?[_.]?|orientation[_.]?){name[1]}(_world_\w+)?")
     if name.startswith("q")
-    else re.compile(rf"(?i)(t|t_|p|p_|p_\w+_|pos(ition)?[_.]?|translation[_.]?)?{name}")
+    else re.compile(rf"(?i)(t|t_|p|p_|p_\w+_|pos(ition)?[_.]?|translation[_.]?)?{name}(_world_\w+)?")
     for name in COLUMNS[1:]
 }
 """How headers call the columns: ``p_RS_R_x``, ``tx`` and ``x`` are one."""
 _SETS = re.compile(
-    r"(?i)(\w*_)?(id|cam(era)?|sensor|session|rig|device|robot|agent|body|bad|valid|lost|status)"
+    r"(?i)(\w*_)?(u*id|cam(era)?|sensor|session|rig|device|robot|agent|body|bad|valid|lost|status)"
 )
 """Columns by which the lines may be poses of several cameras, or not all of them good."""
 _CONVENTIONS = {
@@ -144,13 +144,19 @@ def _columns_of_poses(header: list[str], lines: list[tuple[int, list[str]]], pat
             "correct the header, which decides their order, or remove it"
         )
     order = [header.index(name) for name in COLUMNS[1:]]
+    used = {*order, *(header.index(name) for name in _TIMES if name in header)}
     for column, name in enumerate(header):
+        texts = [entries[column] for _, entries in lines if column < len(entries)]
         if _SETS.fullmatch(name):
-            check_one_set(name, [entries[column] for _, entries in lines if column < len(entries)], str(path))
+            check_one_set(name, texts, str(path))
+        if name.lower() == "scale" and set(numbers(texts, f"{path}, scale")) != {1.0}:
+            raise FileFormatError(
+                f"{path}: expected 1 in the column scale, got {texts[0]}; move the positions"
+            )
     names, poses = [], []
     for number, entries in lines:
         where = f"{path}, line {number}"
-        values = numbers(entries, where, count)
+        values = numbers([e if k in used else 0 for k, e in enumerate(entries)], where, count)
         position, quaternion = ([values[column] for column in group] for group in (order[:3], order[3:]))
         names.append(_time(header, entries, values, where))
         poses.append(transform_from_numbers(quaternion, position, where))

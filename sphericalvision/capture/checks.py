@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 
 import torch
@@ -31,6 +32,8 @@ CLEARLY = 1.25
 DISAGREES = 0.4
 """Correlation of a camera's image with the others' below which it shows something else. Rendered scenes of five kinds
 have 0.65 to 0.97 and real captures 0.89 to 0.99; a camera that is mirrored, exchanged or turned has -0.4 to 0.31."""
+ELSEWHERE, ALIKE = 0.98, 0.1
+"""Cosine of the angle between two cameras; how much less pictures differ than each varies, if they are one."""
 COMPARED = 64
 """Pixels of the shorter side of the images that are compared: finer, textures that depth blurs decide."""
 FEWEST = 40
@@ -41,8 +44,8 @@ def capture_warnings(depth: Depth) -> list[str]:
     """Return sentences about a frame that say what is probably wrong and what to do; none where all is well.
 
     They are about how much of the sphere two cameras see, how dark the images are, how many hypotheses lie nearer than
-    anything, whether a camera shows something else than the others, and whether the images agree better when the poses
-    are taken the other way round, as camera-from-world.
+    anything, whether a camera shows something else than the others, or the same, and whether the images agree better
+    when the poses are taken the other way round, as camera-from-world.
 
     Args:
         depth: of one frame.
@@ -56,8 +59,8 @@ def capture_warnings(depth: Depth) -> list[str]:
         >>> len(capture_warnings(predictor(render_rig(make_scene("room", seed=1), rig))))
         1
     """
-    checks = (overlap_warning, exposure_warning, hypotheses_warning, poses_warning, disagreement_warning)
-    return [sentence for check in checks if (sentence := check(depth)) is not None]
+    checks = overlap_warning, exposure_warning, hypotheses_warning, poses_warning, disagreement_warning
+    return [sentence for check in (*checks, copies_warning) if (sentence := check(depth)) is not None]
 
 
 def overlap_warning(depth: Depth) -> str | None:
@@ -136,6 +139,19 @@ def pose_agreement(images: Mapping[str, Float[Tensor, "3 _ _"]], rig: CameraRig)
         intake(images)[None], rig, HYPOTHESES, nearest, level=LEVEL - 1, substeps=1, seen=intake.seen
     )
     return float((estimate.confidence * estimate.seen).sum() / estimate.seen.sum().clamp(min=1))
+
+
+def copies_warning(depth: Depth) -> str | None:
+    """Return what to say if cameras that look elsewhere show one picture, in the middle of their images."""
+    axes = depth.rig.world_from_camera[:, :3, 2]
+    views = [F.adaptive_avg_pool2d(depth.images[name].float(), 32)[:, 8:24, 8:24] for name in depth.rig.names]
+    for k, n in itertools.combinations(range(len(views)), 2):
+        if axes[k] @ axes[n] < ELSEWHERE and (views[k] - views[n]).std() < ALIKE * views[k].std():
+            return (
+                f"The images of {depth.rig.names[k]} and {depth.rig.names[n]} are one picture, and these cameras look "
+                "elsewhere: is a device or a folder given twice? Compare images= and cameras= with the calibration."
+            )
+    return None
 
 
 def disagreement_warning(depth: Depth) -> str | None:

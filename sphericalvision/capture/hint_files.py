@@ -16,7 +16,7 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.hints import Hint, inverse_of
 from sphericalvision.capture.sources.patterns import find_files, find_labels
 from sphericalvision.core import ArgumentError, FileFormatError
-from sphericalvision.data.point_files import POINT_SUFFIXES, read_points
+from sphericalvision.data.point_files import MOST_COLUMNS, POINT_SUFFIXES, read_points
 from sphericalvision.io.arrays import read_npy, read_npz
 from sphericalvision.io.images import read_pages
 from sphericalvision.sphere import Equirectangular
@@ -25,8 +25,6 @@ from sphericalvision.sphere.resampling.views import Views
 MILLIMETRES = 1000.0
 MOST = 65535
 """That 16 bits hold: what is farther, or was not measured."""
-MOST_COLUMNS = 16
-"""Of an array of points; images are wider."""
 
 
 class HintFiles:

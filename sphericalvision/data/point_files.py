@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,9 @@ POINT_SUFFIXES = (".pcd", ".bin", ".ply", ".npy", ".csv", ".xyz")
 _AXES = ("x", "y", "z")
 FARTHEST = 1e7
 """Metres from the origin of a scan's coordinates: what is farther is no scan, in national and geocentric grids, too."""
+
+WIDEST = 500.0
+"""Metres along an axis from the middle of a scan to half of its points; of a square kilometre they are 350."""
 
 MOST_COLUMNS = 16
 """Of a row of an array of points: x, y, z, and what scanners add (colour, normal, time, ring, label)."""
@@ -102,6 +106,13 @@ def read_points(
         raise FileFormatError(
             f"{path}: a point is {farthest:.3g} m from the origin, which no scan has; expected metres"
             + (f"; {_COLUMNS_REMEDY}" if suffix == ".bin" else "")
+        )
+    apart = np.abs(coordinates - np.median(coordinates, 0)).max(1) if len(coordinates) else np.zeros(1)
+    if (spread := np.median(apart)) > WIDEST:
+        warnings.warn(
+            f"{path}: half of the points are {spread:.3g} m and more from their middle, beyond what scanners see; "
+            "expected metres: divide by 1000 if these are millimetres",
+            stacklevel=2,
         )
     if suffix not in (".bin", ".npy"):
         with path.open("rb") as file:

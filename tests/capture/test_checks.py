@@ -60,6 +60,12 @@ def test_twelve_bits_in_sixteen_are_told() -> None:
     assert "12 bits" in warning
 
 
+def test_one_picture_of_two_cameras_is_told() -> None:
+    depth = depth_of(RING, "room", 0.55)
+    spoiled = {**depth.images, "cam2": depth.images["cam3"]}
+    assert any("cam2 and cam3 are one picture" in s for s in capture_warnings(replace(depth, images=spoiled)))
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_inverted_poses_are_told(seed: int) -> None:
     rig = scattered(seed)

@@ -270,6 +270,12 @@ def test_the_nearest_depth_is_found_scaled_or_given(images: Images) -> None:
     assert Predictor(small, net, min_depth=2).min_depth == 2.0
 
 
+@pytest.mark.parametrize("metres", [550, 0.0005])
+def test_a_nearest_hypothesis_that_no_rig_tells_is_asked_about(rig: CameraRig, metres: float) -> None:
+    with pytest.warns(UserWarning, match=r"min_depth: .* radii of the rig"):
+        Predictor(rig, SemiGlobalSweep(3, 8), min_depth=metres)
+
+
 class _Anywhere(SemiGlobalSweep):
     """Stands for a network that was trained with rigs of many radii."""
 

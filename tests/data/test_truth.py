@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -226,6 +227,15 @@ def test_a_cloud_whose_comment_says_another_unit_is_asked_about(tmp_path: Path, 
     (tmp_path / name).write_text(f"{head}1000{',' if '.csv' in name else ' '}2 3\n".replace(",2 3", ",2,3"))
     with pytest.warns(UserWarning, match=rf"{name}, line \d: expected metres"):
         assert read_points(tmp_path / name).tolist() == [[1000, 2, 3]]
+
+
+@pytest.mark.parametrize(("unit", "is_told"), [(1.0, False), (1000.0, True)])
+def test_a_scan_as_wide_as_no_scanner_sees_is_asked_about(tmp_path: Path, unit: float, is_told: bool) -> None:
+    np.save(tmp_path / "room.npy", rows_of_a_scan(3) * unit + np.array((4.5e5, 5.4e6, 60.0)))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        read_points(tmp_path / "room.npy")
+    assert ["millimetres" in str(warning.message) for warning in caught] == [True] * is_told
 
 
 def test_files_that_hold_no_points_are_refused_by_name(tmp_path: Path) -> None:

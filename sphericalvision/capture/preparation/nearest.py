@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Mapping
 from typing import Any, Literal, NamedTuple
 
@@ -25,6 +26,8 @@ FAR_OFF = 4.0
 
 What is found in images is between half and twice the right one, and in one of fifty scenes much farther.
 """
+NEARER, FARTHER = 0.1, 1000.0
+"""Radii of a rig between which its nearest hypothesis lies: nearer is within, farther nothing moves by a pixel."""
 LARGEST = 2.0
 """Radii, in those of the usual rig, up to which rigs were in a training with rigs of many."""
 
@@ -74,7 +77,11 @@ def nearest_hypothesis(
     """
     follows = net.min_depth_follows if trained else "scene"
     if min_depth not in ("auto", "scene", None):
-        return NearestHypothesis(checked_min_depth(min_depth))
+        metres = checked_min_depth(min_depth)
+        if (radius := float(rig.radius)) > 1e-6 and not NEARER < metres / radius < FARTHER:
+            doubt = f"min_depth: {metres:g} m are {metres / radius:.2g} radii of the rig; are these metres?"
+            warnings.warn(doubt, stacklevel=3)
+        return NearestHypothesis(metres)
     check_places(rig)
     if min_depth == "scene" or (min_depth == "auto" and follows == "scene"):
         return NearestHypothesis(None)

@@ -244,9 +244,9 @@ class VideoWriter(SequenceWriter):
         try:
             self._container = av.open(str(temporary), "w", format="mp4")
             rate = Fraction(self.settings.rate).limit_denominator(1000)
-            self._stream = self._container.add_stream(
-                "libx264", rate, options={"crf": "18", "preset": "fast"}
-            )
+            # With its tree of macroblocks x264 writes other bits of the same pictures from run to run.
+            options = {"crf": "18", "preset": "fast", "x264-params": "mbtree=0"}
+            self._stream = self._container.add_stream("libx264", rate, options=options)
         except (av.FFmpegError, ValueError) as error:
             temporary.unlink(missing_ok=True)
             raise FileFormatError(

@@ -81,6 +81,7 @@ VALUES: dict[str, list[tuple[str, Any, str]]] = {  # file -> the way to a value,
         ("sensor_type", "imu", "sensor_type: expected camera, got 'imu'"),
     ],
     "device.json": [
+        ("CameraCalibrations", [], "CameraCalibrations: expected a list of at least one entry"),
         ("CameraCalibrations/0/Projection/Name", "Linear", "[0], Projection, Name: expected FisheyeRadTanThinPrism"),
         ("CameraCalibrations/1/T_Device_Camera/UnitQuaternion", [1, [0, 0, 1]],
          "[1], T_Device_Camera, UnitQuaternion: expected a quaternion of length 1"),

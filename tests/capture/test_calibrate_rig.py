@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,7 +14,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, FisheyeCamera
 from sphericalvision.capture import calibrate_rig
-from sphericalvision.capture.calibrating.calibrate import _half_turn, _poses, _turned
+from sphericalvision.capture.calibrating.calibrate import _check_agreement, _half_turn, _poses, _turned
 from sphericalvision.capture.calibrating.refine import FEWEST, _Bundle, refine_rig
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import angle_from_axis, transform_from_axis_angle, transform_points
@@ -87,6 +89,17 @@ def test_cameras_that_contradict_each_other_are_refused(cameras: int, turned: bo
         ArgumentError, match=r"cam\d contradicts the other cameras: alone its views fit to 0\."
     ):
         calibrated(grid_of(5, 5), pixels, seen)
+
+
+@pytest.mark.parametrize(("error", "used", "fits"), [(1.4, 20, True), (1.6, 20, False), (1.4, 9, False)])
+def test_five_times_the_own_error_or_half_left_out_is_a_contradiction(
+    error: float, used: int, fits: bool
+) -> None:
+    residuals = torch.zeros(1, 1, 20, 2)
+    residuals[:, :, :used] = error * torch.tensor([0.6, 0.8])
+    refined: Any = SimpleNamespace(residuals=residuals)
+    with nullcontext() if fits else pytest.raises(ArgumentError):
+        _check_agreement(["a"], refined, torch.ones(1, 1, 20, dtype=torch.bool), [0.3])
 
 
 def test_corners_that_are_wrong_are_left_out() -> None:

@@ -25,8 +25,10 @@ from sphericalvision.capture.outputs import Outputs
 from sphericalvision.capture.pinhole_twins import pinhole_twins
 from sphericalvision.capture.preparation.dark_surround import dark_beyond
 from sphericalvision.capture.result_folder import Settings
+from sphericalvision.capture.sources.moments import Clock, pair_moments
 from sphericalvision.capture.viewer import Timeline
 from sphericalvision.capture.writers import OUTPUTS
+from sphericalvision.core import MissingFileError
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.icosphere import icosphere_vertices
 from sphericalvision.io.images import read_pages
@@ -167,6 +169,7 @@ Compensator(RIG).smoothed(batch(noise=0.3)) -> -5.8041
 Compensator(RIG, Intake(RIG, Icosphere(2)).averaged).smoothed(batch(noise=0.3)) -> 2.6502
 Compensator(RIG).brightened(batch(dark=0.15)) -> -9.3910
 compensated(RIG, images(noise=0.2, loss=0.5)) -> -1.8858
+30 * _noise(rand(2, 3, 40, 30), rand(40, 30, seed=3) > 0.5) -> 1.0675
 nearest_in_frames([images()], RIG) -> 0.2335
 body() -> -2.8559
 surround() -> 0.7073
@@ -186,6 +189,16 @@ predictor().inputs(images(loss=0.5))[0] -> -7.8657
 @pytest.mark.parametrize(("call", "expected"), numbers_in(NUMBERS))
 def test_numbers_stay(call: str, expected: float) -> None:
     assert sum_of(call, globals(), MODULES) == pytest.approx(expected, abs=2e-3)
+
+
+def test_cameras_that_never_meet_are_not_paired_by_names() -> None:
+    """The last clock counts whatever it says."""
+    images = {camera: {"0": camera, "1": camera} for camera in "ab"}
+    apart = Clock("stamps", {"a": {"0": 0.0, "1": 0.1}, "b": {"0": 5.0, "1": 5.1}})
+    with pytest.raises(MissingFileError):
+        pair_moments(images, [apart])
+    headers = Clock("headers", {camera: {"0": 0.0, "1": 1.0} for camera in "ab"})
+    assert pair_moments(images, [apart, headers]).clock == 1
 
 
 def content_of(path: Path) -> float:

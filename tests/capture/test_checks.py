@@ -16,6 +16,7 @@ from sphericalvision.capture.checks import (
     PhotoConsistency,
     camera_agreement,
     capture_warnings,
+    hypotheses_warning,
     pose_agreement,
 )
 from sphericalvision.scenes import make_scene, render_rig
@@ -48,9 +49,11 @@ def test_little_overlap_is_told() -> None:
 
 
 def test_wasted_hypotheses_are_told() -> None:
-    (warning,) = capture_warnings(depth_of(RING, "hall", 0.1))
-    assert "wasted" in warning
-    assert "min_depth = 0.10 m" in warning
+    depth = depth_of(RING, "hall", 0.1)
+    assert ["min_depth = 0.10 m" in warning for warning in capture_warnings(depth)] == [True]
+    guessed = torch.arange(len(depth.index)) % 9 == 0  # to be near
+    index, confidence = depth.index.where(~guessed, 15.0), depth.confidence.where(~guessed, 0.0)
+    assert hypotheses_warning(replace(depth, index=index, confidence=confidence)) is not None
 
 
 def test_twelve_bits_in_sixteen_are_told() -> None:

@@ -8,8 +8,15 @@ import math
 import pytest
 import torch
 
-from sphericalvision.cameras import DoubleSphereCamera, EquirectangularCamera, FisheyeCamera, OCamCamera
+from sphericalvision.cameras import (
+    DoubleSphereCamera,
+    EquirectangularCamera,
+    FisheyeCamera,
+    OCamCamera,
+    convert,
+)
 from sphericalvision.core import ArgumentError
+from sphericalvision.data.omnistereo import writer
 from sphericalvision.data.omnistereo.writer import ocam_from_camera
 
 
@@ -57,6 +64,13 @@ def test_complete_ocam_cameras_pass_and_incomplete_ones_are_completed() -> None:
     completed = ocam_from_camera(incomplete, max_residual=0.01)
     assert torch.equal(completed.polynomial, incomplete.polynomial)
     assert torch.equal(completed.affine, incomplete.affine)
+
+
+def test_a_fit_without_the_corners_of_images_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = FisheyeCamera("equidistant", [100.0, 100.0], [99.5, 49.5], (100, 200), 1.0)
+    monkeypatch.setattr(writer, "convert", lambda *a, **k: convert(*a, **k)._replace(covered_angle=0.8))
+    with pytest.raises(ArgumentError, match="sees"):
+        ocam_from_camera(camera)
 
 
 def test_what_no_polynomial_can_follow_is_refused() -> None:

@@ -233,7 +233,8 @@ def test_rotations_are_even_over_all(generator: torch.Generator) -> None:
 
 
 def test_a_generator_draws_the_turns_that_it_drew(generator: torch.Generator) -> None:
-    drawn = [random_rotations(5, 0.7, generator)]
+    turn = RandomSphereRotation(Icosphere(1), max_angle=0.7, generator=generator)
+    drawn = [turn.generate_parameters((5,))["rotation"]]
     for angles in ("any", "grid"):
         drawn += RandomYaw(Icosphere(1), angles=angles, generator=generator).forward_parameters((4,)).values()
     assert weighted_sum(*drawn) == pytest.approx(9.16838, abs=1e-4)

@@ -127,7 +127,7 @@ def ply(kind: str, count: int) -> bytes:
 def write_pcd(path: Path, points: np.ndarray, kind: str) -> None:
     """A file as PCL writes it, with more fields than are wanted."""
     head = "# .PCD\nVERSION 0.7\nFIELDS pair x y z ring\nSIZE 4 4 4 4 2\nTYPE F F F F U\nCOUNT 2 1 1 1 1\n"
-    head += f"WIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(points)}\nDATA {kind}\n"
+    head += f"WIDTH 1\nHEIGHT {len(points)}\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(points)}\nDATA {kind}\n"
     fields = [("pair", "<f4", 2), *((name, "<f4") for name in "xyz"), ("ring", "<u2")]
     table = np.zeros(len(points), fields)
     table["x"], table["y"], table["z"] = points.T

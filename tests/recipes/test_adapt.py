@@ -12,6 +12,7 @@ from omegaconf import OmegaConf
 
 from sphericalvision.cameras import ring_rig, save_rig
 from sphericalvision.capture.preparation.preparation import AS_IT_IS
+from sphericalvision.capture.pseudo_labels import PseudoLabels
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import SampleView
 from sphericalvision.io.images import write_image
@@ -19,14 +20,17 @@ from sphericalvision.models import IcoSweepNet, RefinedSweepNet, load_weights
 from sphericalvision.recipes.datamodules.capture import (
     CaptureDataModule,
     CaptureSamples,
+    LabelledFrame,
     _with_rows,
     rehearsed_world,
 )
 from sphericalvision.recipes.training.adapt_module import AdaptModule
 from sphericalvision.scenes import WorldSamples
+from sphericalvision.scenes.cache import encode
 from sphericalvision.scenes.disturbances import CameraDisturbance
 from tests.recipes.test_align import KNOCKED, write_knocked_capture
 from tests.recipes.tiny import Run, composed, typed
+from tests.values import rand
 
 TINY = (
     *typed(
@@ -126,6 +130,13 @@ def test_a_rehearsed_scene_and_its_disturbances_are_those_of_its_seed() -> None:
     assert torch.equal(one["inverse_depth"], plain["inverse_depth"])
     assert not torch.equal(one["images"], plain["images"])
     torch.testing.assert_close(one["images"][:, 0], one["images"][:, 2], atol=0.3, rtol=0)
+
+
+def test_pixels_of_frames_are_averaged() -> None:
+    rig = ring_rig(2, image_size=(96, 96))
+    noise = {name: encode((rand(3, 96, 96, seed=k) > 0.5).float()) for k, name in enumerate(rig.names)}
+    sample = CaptureSamples([LabelledFrame("0", noise, PseudoLabels(*torch.zeros(5, 42)))], rig, 2)[0]
+    assert sample["images"][sample["seen"][:, None].expand_as(sample["images"])].std() < 0.2
 
 
 def test_a_scene_in_place_of_a_frame_has_the_scale_of_the_capture() -> None:

@@ -80,11 +80,15 @@ def test_a_rig_is_inspected(run: Run, calibration: Path) -> None:
 
 def test_images_and_masks_are_drawn(run: Run, calibration: Path) -> None:
     for name in ("front", "right", "back", "left"):
-        write_image(calibration.parent / name / "0.png", torch.rand(3, 304, 304))
+        for number in range(2):
+            write_image(calibration.parent / f"{name}/{number}.png", torch.rand(3, 304, 304))
         write_image(calibration.parent / name / "mask.png", torch.ones(1, 304, 304))
-    images = "images={camera}/{frame}.png masks={camera}/mask.png frame=0"
-    run(*typed(f"inspect calibration={calibration} {images} level=3 output=seen"))
-    assert (calibration.parent / "seen/angles_left.png").is_file()
+    pictures = []
+    for frame in ("", "frame=0", "frame=1"):
+        images = f"images={{camera}}/{{frame}}.png masks={{camera}}/mask.png {frame}"
+        run(*typed(f"inspect calibration={calibration} {images} level=3 output=seen{len(pictures)}"))
+        pictures.append((calibration.parent / f"seen{len(pictures)}/angles_left.png").read_bytes())
+    assert pictures[0] == pictures[1] != pictures[2]
 
 
 def test_one_camera_without_poses_is_inspected(run: Run, tmp_path: Path) -> None:

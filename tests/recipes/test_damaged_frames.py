@@ -9,10 +9,12 @@ from pathlib import Path
 
 import pytest
 import torch
+from torch._utils import ExceptionWrapper
 
 from sphericalvision.cameras import ring_rig
 from sphericalvision.core import FileFormatError
 from sphericalvision.data import write_omnistereo
+from sphericalvision.recipes.app.errors import _message
 from sphericalvision.recipes.datamodules.omnistereo import SkipDamaged
 from tests.recipes.tiny import TINY_TRAINING, Run
 from tests.worlds import recorded_frames
@@ -43,6 +45,16 @@ def test_the_message_is_the_same_with_worker_processes(failing: Run, frames: Pat
     ]
     assert said[0] == said[1]
     assert "cam2/00002.png: cannot be read as an image (200 bytes)" in said[0]
+
+
+def test_a_full_disk_is_told_of_a_worker_process_too() -> None:
+    try:
+        raise OSError(28, "No space left on device")
+    except OSError:
+        wrapped = ExceptionWrapper(where="in DataLoader worker process 0")
+    with pytest.raises(OSError, match="Original Traceback") as caught:
+        wrapped.reraise()
+    assert str(_message(caught.value)).startswith("No space left on device; ")
 
 
 def test_evaluation_goes_without_the_frame_and_says_so(

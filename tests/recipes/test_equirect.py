@@ -16,8 +16,16 @@ import torch
 from sphericalvision.cameras import EquirectangularCamera
 from sphericalvision.core import ArgumentError
 from sphericalvision.data import OmniStereoDataset, collate_samples
+from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image
-from sphericalvision.models import DepthNetwork, IcoSweepNet, OmniMVS, load_weights, save_weights
+from sphericalvision.models import (
+    DepthNetwork,
+    IcoSweepNet,
+    OmniMVS,
+    WinnerTakesAll,
+    load_weights,
+    save_weights,
+)
 from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.datamodules.entries import images_of, truth_of
@@ -109,6 +117,13 @@ def test_the_data_module_of_the_page_serves_any_network(model: tuple[str, ...]) 
     net.check_images(images, seen)
     inverse_depth, valid = truth_of(batch, net)
     assert inverse_depth.shape == valid.shape == (1, *net.grid.shape)
+
+
+def test_truth_of_a_finer_icosphere_is_that_of_the_same_vertices() -> None:
+    net, fine = WinnerTakesAll(3, 4, 0.5, depth_coarsening=0), Icosphere(5).vertices[None]
+    inverse_depth, valid = truth_of({"inverse_depth": fine[..., 1], "valid": fine[..., 1] > 0.3}, net)
+    torch.testing.assert_close(inverse_depth[0], net.grid.vertices[:, 1])
+    assert torch.equal(valid, inverse_depth > 0.3)
 
 
 def test_truth_on_a_panorama_of_another_size_names_the_key_of_the_network() -> None:

@@ -242,6 +242,11 @@ def test_rooms_are_seen_turned(orientation: str) -> None:
     assert tilt is None or down == pytest.approx(tilt, abs=0.05)
 
 
+def test_rooms_tilt_to_all_sides() -> None:
+    down = torch.stack([orientation_rotation("tilted_90", seed)[:, 1] for seed in range(200)])
+    assert down.mean(0).norm() < 0.2
+
+
 def test_samples_are_kept(tmp_path: Path) -> None:
     rooms = [LabelledRooms(3, 2, Icosphere(2), "tilted_45", str(tmp_path)) for _ in range(2)]
     first = rooms[0][1]

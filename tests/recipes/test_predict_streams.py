@@ -126,6 +126,7 @@ def test_live_cameras_are_frames_without_an_end(
     monkeypatch.setattr(cv2, "VideoCapture", device)
     source = open_source("live:0,1,2,3", RIG)
     assert source.live
+    assert source.sizes() == dict.fromkeys(RIG.names, SIZE)
     with pytest.raises(ArgumentError, match="masks: auto reads the frames before the first is predicted"):
         Capture(calibration="rig.yaml", images="live:0,1,2,3", masks="auto").restrict(source)
     assert source.names(Selection()) is None

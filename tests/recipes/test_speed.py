@@ -9,17 +9,23 @@ import subprocess
 import sys
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import torch
 from hydra import initialize_config_module
 from omegaconf import DictConfig
+from torch import Tensor
 
 from sphericalvision.cameras import ring_rig
+from sphericalvision.recipes.evaluation.places import FrameTruth
+from sphericalvision.recipes.evaluation.track_frames import render_frame
+from sphericalvision.recipes.evaluation.tracks import TRACKS
 from sphericalvision.recipes.speed import measuring
 from sphericalvision.recipes.speed.cameras import cameras
 from sphericalvision.recipes.speed.command import measure_speed
-from sphericalvision.recipes.speed.frames import preset_predictor
+from sphericalvision.recipes.speed.frames import SCALE, _error, preset_predictor
 from sphericalvision.recipes.speed.measuring import (
     OURS,
     Comparison,
@@ -29,6 +35,8 @@ from sphericalvision.recipes.speed.measuring import (
     measure,
 )
 from sphericalvision.recipes.speed.networks import network
+from sphericalvision.sweep import inverse_depth_from_index
+from tests.recipes.test_depth_benchmark import TINY
 from tests.recipes.tiny import composed
 
 CPU = torch.device("cpu")
@@ -175,6 +183,22 @@ def test_every_group_measures_its_rows(tmp_path: Path, group: str, names: set[st
     rows = measured(tmp_path, f"groups=[{group}]", "presets=[live]", "variants=[icosweepnet_rt]")
     assert all(row.median > 0 for row in rows)
     assert {row.name for row in rows} >= names
+
+
+def test_errors_of_presets_are_of_places_that_two_cameras_see() -> None:
+    frame = render_frame(TRACKS["ugv_masked"], 1, TINY)
+    truth = FrameTruth(frame)
+
+    def at(directions: Tensor) -> tuple[Tensor]:
+        ids = (directions @ truth.fine.vertices.T).argmax(1)
+        return (
+            inverse_depth_from_index(truth.index[ids] + 0.16, *SCALE).where(truth.regions["all"][ids], 0.0),
+        )
+
+    predictor: Any = SimpleNamespace(
+        with_changes=lambda _: lambda _: SimpleNamespace(at=at, index=torch.zeros(1))
+    )
+    assert _error(predictor, [frame]) == pytest.approx(16 / SCALE.num_hypotheses, rel=1e-3)
 
 
 @pytest.mark.slow

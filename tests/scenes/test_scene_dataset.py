@@ -129,9 +129,11 @@ def test_whatever_happens_to_a_file_it_is_made_anew(rig: CameraRig, tmp_path: Pa
             damaged.append(bytes(flipped))
         other = io.BytesIO()
         np.savez(other, images=np.zeros((4, 3, 42), np.uint8), inverse_depth=np.zeros(12))
+        wider = io.BytesIO()
+        np.savez(wider, **{name: array + 0.25 for name, array in np.load(io.BytesIO(whole)).items()})
         objects = io.BytesIO()
         np.savez(objects, images=np.array([{}]))
-        for content in (*damaged, other.getvalue(), objects.getvalue()):
+        for content in (*damaged, other.getvalue(), wider.getvalue(), objects.getvalue()):
             path.write_bytes(content)
             assert same(first, data[0])
     assert [p for p in sorted(tmp_path.rglob("*")) if p.is_file()] == paths

@@ -49,7 +49,7 @@ def brought(mode: str, *grids: Any, rotation: Any = TURN) -> Any:
         yield resample_mask(one, other, rotation, mode, rand(*shape, seed=5) > 0.1)
 
 
-MODULES = "metrics.spread metrics.sphere"
+MODULES = "cameras.remapping.area metrics.spread metrics.sphere"
 """Where names of the table come from, besides those that are public."""
 
 NUMBERS = """
@@ -61,6 +61,7 @@ brought("bilinear", BAND, PLAIN, BAND, rotation=None) -> 1.2208
 taken().merge(WIDE, TURN, quantity="range"), taken().merge(PLAIN, quantity="z") -> 57.6779
 taken().merge(WIDE, quantity="z", align=False) -> -73.4710
 taken().merge(WIDE, quantity="range", center=RIG.center), taken(3).merge(PLAIN, mode="area").values -> 3.6049
+cell_groups(torch.tensor([[1.0, 3.0], [5.2, 0.3]]), None), cell_groups(40 * rand(9, 2), (48, 64)) -> -8.4349
 [view.merge(WIDE) for view in [views(rand(2, 16, 32))]] -> 2.0532
 [image[..., ::5, ::5] for image in views(rand(2, 16, 32), layout="tangent").images] -> -4.1413
 views(rand(2, 9, 16), WIDE, 2 * rand(3, 3) - 1, (1.4, 1.1), (7, 9), "area").images -> -0.7354

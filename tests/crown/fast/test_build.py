@@ -72,6 +72,7 @@ def compiles(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
 
 
 def test_required_operators_are_waited_for_and_kept(cache: Path, compiles: list[list[str]]) -> None:
+    cache.mkdir(0o755, parents=True)  # nobody else may look into it later
     assert build.operators_ready("require")
     assert len(compiles) == 2  # one source, and the library
     assert cache.stat().st_mode & 0o777 == 0o700

@@ -8,12 +8,12 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
+from sphericalvision.cameras.remapping.area import as_floats, block_means
 from sphericalvision.cameras.remapping.lookup import image_edges, pixels_a_radian
 from sphericalvision.cameras.rig import CameraRig, check_images_of
 from sphericalvision.core import ArgumentError
@@ -38,11 +38,8 @@ class SphereLookup(NamedTuple):
         return values if fill == 0 else torch.where(self.seen.unsqueeze(-2), values, fill)
 
     def averaged(self, image: Tensor) -> Tensor:
-        """The image ``(*b, c, h, w)`` that ``places`` are positions in."""
-        if self.shrink == 1:
-            return image
-        small = F.avg_pool2d(image.reshape(-1, *image.shape[-3:]), self.shrink, ceil_mode=True)
-        return small.reshape(*image.shape[:-2], *small.shape[-2:])
+        """The image ``(*b, c, h, w)`` that ``places`` are positions in; of bytes in [0, 1]."""
+        return as_floats(image) if self.shrink == 1 else block_means(image, self.shrink)
 
 
 def sphere_lookups(

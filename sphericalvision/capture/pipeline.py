@@ -26,7 +26,7 @@ from sphericalvision.geometry.directions import angle_from_axis
 from sphericalvision.icosphere import icosphere_vertices
 from sphericalvision.kernels import full_precision
 from sphericalvision.models import DepthNetwork
-from sphericalvision.sphere.intake import as_colors, signed
+from sphericalvision.sphere.intake import signed, three_channels
 from sphericalvision.sweep import DepthEstimate, DepthHint
 
 BLANK = 1 / 255
@@ -109,19 +109,19 @@ class Pipeline:
         """
         number = len(self.rig)
         images, hint = images[:number], images[number:]
-        colors = map(as_colors, images)
+        colors = map(three_channels, images)
         inputs, corrections = self.inputs(dict(zip(self.rig.names, colors, strict=True)), preparation)
         result, trust = (estimate or self.estimate)(inputs, *hint)
         return Frame(result, corrections, trust)
 
     @full_precision
     def inputs(
-        self, images: Mapping[str, Float[Tensor, "*batch 3 _ _"]], preparation: Preparation
+        self, images: Mapping[str, Shaped[Tensor, "*batch 3 _ _"]], preparation: Preparation
     ) -> tuple[Float[Tensor, "*batch_and_size"], tuple[Correction, ...]]:
         """Return ``(*b, n, 3, *size)`` in [-1, 1], 0 where nothing was seen, and what was taken out of each frame.
 
         Args:
-            images: camera name -> ``(*b, 3, h, w)`` in [0, 1].
+            images: camera name -> ``(*b, 3, h, w)`` in [0, 1], or bytes.
             preparation: of the images.
         """
         if preparation.of_images is None:

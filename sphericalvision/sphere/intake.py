@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras.remapping.area import as_floats
 from sphericalvision.cameras.rig import check_images_of
 from sphericalvision.cameras.sphere_images import SphereLookup, sphere_lookups
 from sphericalvision.core import ArgumentError, ShapeError, check_floating
@@ -83,21 +84,18 @@ class Intake:
             ShapeError: another image size than the calibration's.
             ArgumentError: other cameras than the rig's, or images of other integers.
         """
-        images = {
-            name: image.float() / 255 if image.dtype == torch.uint8 else image
-            for name, image in images.items()
-        }
         for name, image in images.items():
-            check_floating(f"images[{name!r}]", image)
+            if image.dtype != torch.uint8:
+                check_floating(f"images[{name!r}]", image)
         return signed(self.looked_up(self.averaged(images)), self.seen)
 
     def averaged(
         self, images: Mapping[str, Shaped[Tensor, "*batch c _ _"]]
-    ) -> dict[str, Shaped[Tensor, "*batch c _ _"]]:
+    ) -> dict[str, Float[Tensor, "*batch c _ _"]]:
         """Return the smaller images that values are looked up in, in the rig's order. Arguments as of a call."""
         check_images_of(self.rig, images)
         if not self.lookups:
-            return {name: images[name] for name in self.rig.names}
+            return {name: as_floats(images[name]) for name in self.rig.names}
         pairs = zip(self.rig.names, self.lookups, strict=True)
         return {name: look.averaged(images[name]) for name, look in pairs}
 
@@ -189,10 +187,14 @@ def as_colors(image: Shaped[Tensor, "*batch c h w"]) -> Float[Tensor, "*batch 3 
         >>> as_colors(torch.tensor([[[255]], [[0]], [[51]]], dtype=torch.uint8)).flatten()
         tensor([1.0000, 0.0000, 0.2000])
     """
-    values = image.float() / 255 if image.dtype == torch.uint8 else image
-    if values.shape[-3] == 1:
-        return values.expand(*values.shape[:-3], 3, *values.shape[-2:])
-    return values[..., :3, :, :]
+    return three_channels(as_floats(image))
+
+
+def three_channels(image: Shaped[Tensor, "*batch c h w"]) -> Shaped[Tensor, "*batch 3 h w"]:
+    """View an image with 1, 3 or 4 channels as one with 3, values as they are."""
+    if image.shape[-3] == 1:
+        return image.expand(*image.shape[:-3], 3, *image.shape[-2:])
+    return image[..., :3, :, :]
 
 
 def ordered_images(images: Mapping[str, Any], rig: CameraRig) -> dict[str, Shaped[Tensor, "*batch c _ _"]]:

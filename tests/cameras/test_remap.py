@@ -25,8 +25,10 @@ from sphericalvision.cameras import (
     undistorted_camera,
     z_from_depth,
 )
+from sphericalvision.cameras.remapping.area import block_means
 from sphericalvision.cameras.remapping.remap import REMAP_MODES
 from sphericalvision.geometry import transform_from_axis_angle
+from sphericalvision.kernels import reference_kernels
 
 FISHEYE = FisheyeCamera.from_field_of_view((72, 96), math.radians(200)).to(torch.float64)
 PINHOLE = PinholeCamera([50.0, 50.0], [39.5, 29.5], (60, 80)).to(torch.float64)
@@ -253,6 +255,23 @@ def test_area_is_the_mean_over_what_a_pixel_covers(shrink: int, pattern: str) ->
     assert aliased > 0.02
     assert wrong < aliased / 15
     assert (area - expected)[:, valid].mean().abs() < 2e-3
+
+
+@pytest.mark.parametrize("size", [(12, 18), (13, 19), (2, 3)])
+def test_means_over_blocks_are_those_of_torch(size: tuple[int, int]) -> None:
+    image = noise(2, 3, *size).requires_grad_()
+    for side in (2, 5):
+        with reference_kernels():
+            expected = block_means(image, side)
+            (slope,) = torch.autograd.grad(expected.square().sum(), image)
+            of_bytes = block_means((100 * image).byte(), side)
+        found = block_means(image, side)
+        torch.testing.assert_close(found, expected, rtol=0, atol=1e-14)
+        torch.testing.assert_close(torch.autograd.grad(found.square().sum(), image)[0], slope)
+        torch.testing.assert_close(block_means((100 * image).byte(), side), of_bytes)
+        half = block_means(image.half(), side)
+        assert half.dtype == torch.float16
+        torch.testing.assert_close(half.double(), expected, rtol=0, atol=1e-3)
 
 
 def test_area_is_bilinear_where_the_image_grows() -> None:

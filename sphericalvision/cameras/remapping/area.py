@@ -19,11 +19,13 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.geometry.image_lookup import ImageLookup, image_lookup
 from sphericalvision.geometry.lookup import read_entries
+from sphericalvision.kernels import Operator
 
 # A side, of a footprint as wide as high, before it is looked up in a smaller image instead. In images of noise the
 # error of 4 is up to four times as large, and calls take as long: with fewer samples more images have to be made small.
 _SAMPLES = 8
 _SLACK = 0.25  # samples may lie this much further apart than pixels, so that turning alone adds none
+_CACHED = 2**18  # values of a channel that stay in a core's cache
 
 
 class CellGroup(NamedTuple):
@@ -153,6 +155,39 @@ def _level_size(image_size: tuple[int, int], level: int) -> tuple[int, int]:
     """(height, width) of an image that was halved ``level`` times."""
     height, width = image_size
     return (-(-height // 2**level), -(-width // 2**level))
+
+
+def as_floats(images: Shaped[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    """Return bytes as float32 in [0, 1], and other images as they are."""
+    return images.float() / 255 if images.dtype == torch.uint8 else images
+
+
+def _block_means(images: Shaped[Tensor, "*batch h w"], side: int) -> Float[Tensor, "*batch rows columns"]:
+    """Return means over squares of pixels, those at the right and at the bottom over what remains; as ``as_floats``."""
+    small = F.avg_pool2d(as_floats(images).reshape(-1, 1, *images.shape[-2:]), side, ceil_mode=True)
+    return small.view(*images.shape[:-2], *small.shape[-2:])
+
+
+def _block_means_by_rows(images: Tensor, side: int) -> Tensor:
+    # What is converted stays in the cache until it is summed: first along rows, which are next to each other in memory.
+    step = side * max(1, torch.get_num_threads() * _CACHED // (side * images.shape[-1]))
+    dtype = images.dtype if images.is_floating_point() else torch.float32
+    chunks = (
+        as_floats(rows).to(torch.promote_types(dtype, torch.float32)) for rows in images.split(step, -2)
+    )
+    return torch.cat([_means_along(_means_along(rows, side, -2), side, -1) for rows in chunks], -2).to(dtype)
+
+
+def _means_along(values: Tensor, side: int, dim: int) -> Tensor:
+    """Means over so many neighbours, the last over what remains."""
+    remaining = values.shape[dim] % side
+    blocks, rest = values.split((values.shape[dim] - remaining, remaining), dim)
+    means = blocks.unflatten(dim, (-1, side)).mean(dim)
+    return torch.cat((means, rest.mean(dim, keepdim=True)), dim) if remaining else means
+
+
+# On a CPU torch averages each result by itself.
+block_means = Operator(_block_means, cpu=_block_means_by_rows)
 
 
 class PyramidLookup(nn.Module):

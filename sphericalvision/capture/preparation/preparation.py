@@ -16,10 +16,11 @@ import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras.remapping.area import as_floats
 from sphericalvision.capture.preparation.photometry import (
     LightEstimate,
     Photometer,
@@ -189,8 +190,8 @@ class Compensator:
         return Photometer(self.rig)
 
     def brightened(
-        self, images: Mapping[str, Float[Tensor, "b c _ _"]]
-    ) -> tuple[dict[str, Float[Tensor, "b c _ _"]], Float[Tensor, " b"]]:
+        self, images: Mapping[str, Shaped[Tensor, "b c _ _"]]
+    ) -> tuple[dict[str, Shaped[Tensor, "b c _ _"]], Float[Tensor, " b"]]:
         """Return images as bright as is usual, where those of all cameras are dark, and the factor of each frame.
 
         So are scenes at night, and pictures of 10 or 12 bits that are stored in 16.
@@ -206,12 +207,13 @@ class Compensator:
             return dict(images), gains
         factors = gains.to(values.dtype).view(-1, 1, 1, 1)
         chosen = dark.view(-1, 1, 1, 1)
+        floats = {name: as_floats(image) for name, image in images.items()}
         return {
-            name: (image * factors).clamp(max=1).where(chosen, image) for name, image in images.items()
+            name: (image * factors).clamp(max=1).where(chosen, image) for name, image in floats.items()
         }, gains
 
     def smoothed(
-        self, images: Mapping[str, Float[Tensor, "b c _ _"]]
+        self, images: Mapping[str, Shaped[Tensor, "b c _ _"]]
     ) -> tuple[dict[str, Float[Tensor, "b c _ _"]], Float[Tensor, "b n"]]:
         """Return averaged images without noise, and how much there was in those of each camera."""
         means = self._averaged(images)
@@ -264,7 +266,7 @@ def compensated(
 def _spread(image: Tensor) -> Tensor:
     """Some values of each frame ``(b, values)``, from all over the image."""
     step = max(1, round((image[0].numel() / MOST_SAMPLES) ** 0.5))
-    return image[..., ::step, ::step].detach().float().flatten(1)
+    return as_floats(image[..., ::step, ::step].detach()).float().flatten(1)
 
 
 def _smoothed(image: Tensor, means: Tensor, usable: _Usable) -> tuple[Tensor, Tensor]:
@@ -395,7 +397,8 @@ def _noise(image: Tensor, inside: Tensor | None) -> Tensor:
     if min(height, width) < 3:
         return image.new_zeros(len(image), dtype=torch.float64)
     step = max(1, round(image[0].numel() / MOST_SAMPLES))
-    above, middle, below = (image[..., start : height - 2 + start : step, :].float() for start in range(3))
+    lines = (image[..., start : height - 2 + start : step, :] for start in range(3))
+    above, middle, below = (as_floats(line).float() for line in lines)
     down = above - 2 * middle + below
     second = down[..., :-2] - 2 * down[..., 1:-1] + down[..., 2:]
     values = middle[..., 1:-1]

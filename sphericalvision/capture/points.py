@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 STEEPEST = math.radians(84)
 """Between a ray and the normal of the surface it meets; a floor is as steep ten heights away."""
+CORNERS = 8
+"""Cubes that meet at a point: of larger ones a cloud around it has no more."""
 
 
 class SurfacePoints(NamedTuple):
@@ -182,6 +185,11 @@ def voxel_means(cloud: SurfacePoints, side: float) -> SurfacePoints:
     """
     cubes = (cloud.points / side).floor().long()
     _, ids, counts = cubes.unique(dim=0, return_inverse=True, return_counts=True)
+    if len(counts) <= CORNERS < len(cloud.points):
+        warnings.warn(
+            f"voxel: all points are in {CORNERS} cubes or fewer of {side:g} m; are these metres?",
+            stacklevel=3,
+        )
 
     def mean(values: Tensor) -> Tensor:
         columns = values.reshape(len(values), -1)

@@ -11,7 +11,14 @@ import pytest
 import torch
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.capture.points import grid_faces, grid_mesh, hangs_between, surface_normals
+from sphericalvision.capture.points import (
+    SurfacePoints,
+    grid_faces,
+    grid_mesh,
+    hangs_between,
+    surface_normals,
+    voxel_means,
+)
 from sphericalvision.geometry.surfaces import distance_along
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Equirectangular
@@ -111,6 +118,12 @@ def test_the_share_seen_is_of_the_sphere_and_infinity_is_no_point() -> None:
     assert depth.max_depth == pytest.approx(14.0, rel=1e-4)  # of 8 hypotheses from 1 m on
     far = replace(depth, index=torch.where(down > 0, 0.51, 0.49))
     assert len(far.points().points) == (down > 0).sum()
+
+
+def test_a_voxel_larger_than_all_is_asked_about() -> None:
+    points = torch.randn(20, 3, generator=torch.Generator().manual_seed(1))
+    with pytest.warns(UserWarning, match="voxel: .*50 m"):
+        assert len(voxel_means(SurfacePoints(points, points, points, points[:, 0]), 50.0).points) <= 8
 
 
 def test_a_voxel_keeps_one_point() -> None:

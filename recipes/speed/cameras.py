@@ -98,10 +98,11 @@ def _others(name: str, points: Tensor, pixels: Tensor) -> dict[str, tuple[Run, R
 
 
 def _images(device: torch.device) -> Iterator[Comparison]:
-    """A fisheye image to a panorama and that to a view of 90°, by cached tables, against the interpolation alone."""
+    """A fisheye image to a panorama, that to a view of 90°, and a panorama to half its size, by cached tables."""
+    fisheye, large = MODELS["equidistant"]().to(device), models.EquirectangularCamera((1024, 2048)).to(device)
     panorama = models.EquirectangularCamera((512, 1024)).to(device)
     view = models.PinholeCamera([256.0, 256.0], [255.5, 255.5], (512, 512)).to(device)
-    for source, target in ((MODELS["equidistant"]().to(device), panorama), (panorama, view)):
+    for source, target in ((fisheye, panorama), (panorama, view), (large, panorama)):
         height, width = source.image_size
         image = torch.rand(1, 3, height, width, device=device)
         pixels = source.project(target.unproject(target.pixel_grid()).directions).pixels
@@ -111,8 +112,10 @@ def _images(device: torch.device) -> Iterator[Comparison]:
             "Remap": partial(models.Remap(source, target).to(device), image),
             "Remap, antialiased": partial(models.Remap(source, target, mode="area").to(device), image),
         }
+        array = image[0].movedim(0, -1).contiguous().cpu().numpy()
+        if source is large:
+            runs["OpenCV, INTER_AREA"] = partial(cv2.resize, array, (1024, 512), interpolation=cv2.INTER_AREA)
         if target is view and find_spec("py360convert"):  # which computes its table again in every call
-            array = image[0].movedim(0, -1).contiguous().cpu().numpy()
             perspective = import_module("py360convert").e2p
             runs["py360convert"] = partial(perspective, array, (90, 90), 0, 0, (512, 512))
         sizes = " to ".join("{} x {}".format(*camera.image_size) for camera in (source, target))

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
-from torch import Tensor
+from torch import Tensor, nn
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
@@ -17,7 +17,7 @@ from sphericalvision.cameras.remapping.area import as_floats, block_means
 from sphericalvision.cameras.remapping.lookup import image_edges, pixels_a_radian
 from sphericalvision.cameras.rig import CameraRig, check_images_of
 from sphericalvision.core import ArgumentError
-from sphericalvision.geometry.image_lookup import ImageLookup, image_lookup
+from sphericalvision.geometry.image_lookup import image_lookup
 
 
 class SphereLookup(NamedTuple):
@@ -29,7 +29,7 @@ class SphereLookup(NamedTuple):
     """``(*b, V)``: within the field of view, the image and the mask."""
     shrink: int
     """Side of the squares of pixels that are averaged first."""
-    places: ImageLookup
+    places: nn.Module
     """Positions in the averaged image; zero is found where nothing is seen."""
 
     def __call__(self, image: Tensor, fill: float = 0.5) -> Tensor:

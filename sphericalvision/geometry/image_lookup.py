@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lookups by position: each of P results is a mean over m positions in an image, interpolated between pixels.
 
-``image_lookup`` chooses one of three modules by what continues an image beyond its outermost pixel centres:
+``image_lookup`` returns a ``SeparableLookup`` where samples lie on a lattice. Otherwise it chooses one of three modules
+by what continues an image beyond its outermost pixel centres:
 
 * ``ImageLookup`` repeats them. ``grid_sample`` finds pixels and weights faster than a table of them is read.
 * ``SeamLookup`` reads the few positions whose kernel leaves the image entry by entry, across the edges of a panorama.
@@ -24,6 +25,7 @@ from torch import Tensor
 from sphericalvision.geometry.bilinear import wrap_panorama
 from sphericalvision.geometry.directions import broadcast_shapes, components, from_components
 from sphericalvision.geometry.lookup import PlacesInSinglePrecision, weighted_sums
+from sphericalvision.geometry.separable_lookup import SeparableLookup, find_lattice
 from sphericalvision.kernels import Operator
 
 _OUTSIDE = -9.0  # normalised coordinates so far out that grid_sample reads zeros there
@@ -37,7 +39,7 @@ def image_lookup(
     shares: Float[Tensor, "*#g P m"] | None = None,
     edges: str = "border",
     cubic: bool = False,
-) -> ImageLookup:
+) -> ImageLookup | SeparableLookup:
     """Return the lookup of means over m positions each in an image.
 
     Args:
@@ -59,6 +61,16 @@ def image_lookup(
     if edges != "border":
         u = _around(u, width)
     is_batch = pixels.ndim > 4
+    # Only of samples that stay where they are: the taps of a lattice have no gradient.
+    is_fixed = pixels.ndim == 3 and len(pixels) > 1 and not (pixels.requires_grad or pixels.is_meta)
+    if is_fixed and pixels.shape[-2] > 1 and not cubic:
+        weights = seen.to(u) / seen.shape[-1] if shares is None else torch.where(seen, shares, 0.0)
+        lattice = find_lattice(u, v, weights, image_size, edges)
+        if lattice is not None:
+            cells = lattice.outside
+            some = None if shares is None else shares[cells]
+            others = image_lookup(pixels[cells], seen[cells], image_size, some, edges) if len(cells) else None
+            return SeparableLookup(lattice, others)
     if edges != "border" and not cubic and is_batch:
         grid = _grid(u + 1, v + 1, seen, (height + 2, width + 2))
         return PaddedLookup(edges == "sphere", grid, seen, image_size, shares)

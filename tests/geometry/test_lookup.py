@@ -14,6 +14,7 @@ from torch import Tensor
 from sphericalvision.geometry import bilinear_sample
 from sphericalvision.geometry.image_lookup import image_lookup, taps_across_edges
 from sphericalvision.geometry.lookup import Lookup, weighted_sums
+from sphericalvision.geometry.separable_lookup import SeparableLookup
 from sphericalvision.kernels import reference_kernels
 
 DOUBLE = torch.float64
@@ -119,6 +120,36 @@ def test_means_over_places() -> None:
     each = bilinear_sample(images, pixels.flatten(0, 1)).view(2, 6, 3) * seen
     torch.testing.assert_close(image_lookup(pixels, seen, SIZE, shares)(images), (each * shares).sum(-1))
     torch.testing.assert_close(image_lookup(pixels, seen, SIZE)(images), each.mean(-1))
+
+
+@pytest.mark.parametrize("edges", ["border", "around", "sphere"])
+@pytest.mark.parametrize(("size", "spacing"), [((12, 24), 1.0), ((11, 23), 0.8), ((12, 25), 1.1)])
+def test_a_lattice_is_looked_up_as_its_samples_are(edges: str, size: tuple[int, int], spacing: float) -> None:
+    """Across the seam and beyond the poles, with weights of rows and columns; none if one sample is elsewhere."""
+    row, column = (torch.arange(length // spacing, dtype=DOUBLE) * spacing for length in size)
+    row, column = row[: len(row) // 3 * 3].view(-1, 1, 3, 1), column[: len(column) // 2 * 2].view(-1, 1, 2)
+    row, column = row - (0.4 if spacing < 1 else 0), column + (7.6 if edges != "border" else 0)
+    pixels = torch.stack(torch.broadcast_tensors(column, row), -1).reshape(-1, 6, 2)
+    seen = torch.ones(len(pixels), 6, dtype=torch.bool)
+    shares = (rand(*row.shape, seed=2) * rand(*column.shape, seed=3)).reshape(-1, 6)
+    images = rand(2, 3, *size).requires_grad_()
+    for weights in (None, shares):
+        lattice = image_lookup(pixels, seen, size, weights, edges)
+        samples = image_lookup(pixels.clone().requires_grad_(), seen, size, weights, edges)
+        assert isinstance(lattice, SeparableLookup)
+        assert not isinstance(samples, SeparableLookup)
+        torch.testing.assert_close(lattice(images), samples(images), rtol=0, atol=1e-12)
+        slopes = [torch.autograd.grad(look(images).square().sum(), images)[0] for look in (lattice, samples)]
+        torch.testing.assert_close(*slopes, rtol=0, atol=1e-11)
+        half = lattice.float()(images.half())
+        assert half.dtype == torch.float16
+        torch.testing.assert_close(half.double(), samples(images.half().double()), rtol=0, atol=1e-3)
+    for changed in (pixels, shares, seen):
+        other = changed.clone()
+        other[3, 1] = 0
+        arguments = (other if changed is each else each for each in (pixels, seen, shares))
+        moved, at, weights = arguments
+        assert not isinstance(image_lookup(moved, at, size, weights, edges), SeparableLookup)
 
 
 def test_gradients() -> None:

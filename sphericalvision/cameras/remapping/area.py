@@ -19,6 +19,7 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.geometry.image_lookup import ImageLookup, image_lookup
 from sphericalvision.geometry.lookup import read_entries
+from sphericalvision.geometry.separable_lookup import SeparableLookup
 from sphericalvision.kernels import Operator
 
 # A side, of a footprint as wide as high, before it is looked up in a smaller image instead. In images of noise the
@@ -133,7 +134,7 @@ def lookup_at_level(
     level: int,
     edges: str,
     shares: Float[Tensor, "*#batch k s"] | None = None,
-) -> ImageLookup:
+) -> ImageLookup | SeparableLookup:
     """Means over ``pixels`` of the source's image, looked up in the image that was halved ``level`` times.
 
     Args:

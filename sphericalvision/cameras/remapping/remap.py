@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import torch
 from jaxtyping import Bool, Float, Shaped
-from torch import Tensor
+from torch import Tensor, nn
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.checks import check_image, check_rotation
@@ -19,7 +19,7 @@ from sphericalvision.cameras.remapping.area import (
 )
 from sphericalvision.cameras.remapping.lookup import image_edges, nearest_pixel, source_pixels
 from sphericalvision.core import check_choice, check_tensor, check_type
-from sphericalvision.geometry.image_lookup import ImageLookup, image_lookup
+from sphericalvision.geometry.image_lookup import image_lookup
 from sphericalvision.geometry.lookup import Lookup
 from sphericalvision.geometry.masked_lookup import LookupModule, MaskedLookup
 
@@ -198,12 +198,10 @@ def remap_tables(
     averages = any(group.level or group.samples != (1, 1) for group in groups)
     if mode == "nearest":
         positions = torch.where(valid.unsqueeze(-1), pixels, 0.0)
-        lookup: Lookup | ImageLookup | PyramidLookup = Lookup(
-            nearest_pixel(source, positions).flatten(-2), dims=2
-        )
+        lookup: nn.Module = Lookup(nearest_pixel(source, positions).flatten(-2), dims=2)
     elif averages:
 
-        def group_lookup(group: CellGroup) -> ImageLookup:
+        def group_lookup(group: CellGroup) -> nn.Module:
             samples = pixel_samples(target, group.cells, group.samples, dtype)
             return lookup_at_level(
                 *source_pixels(source, target, rotation, samples), size, group.level, edges

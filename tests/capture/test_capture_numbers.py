@@ -6,8 +6,10 @@ from __future__ import annotations
 import base64
 import math
 import re
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import av
@@ -25,7 +27,9 @@ from sphericalvision.capture.outputs import Outputs
 from sphericalvision.capture.pinhole_twins import pinhole_twins
 from sphericalvision.capture.preparation.dark_surround import dark_beyond
 from sphericalvision.capture.result_folder import Settings
+from sphericalvision.capture.sources.listings import listed_clock
 from sphericalvision.capture.sources.moments import Clock, pair_moments
+from sphericalvision.capture.sources.videos import _packets
 from sphericalvision.capture.viewer import Timeline
 from sphericalvision.capture.writers import OUTPUTS
 from sphericalvision.core import MissingFileError
@@ -199,6 +203,23 @@ def test_cameras_that_never_meet_are_not_paired_by_names() -> None:
         pair_moments(images, [apart])
     headers = Clock("headers", {camera: {"0": 0.0, "1": 1.0} for camera in "ab"})
     assert pair_moments(images, [apart, headers]).clock == 1
+
+
+def test_the_table_in_the_folder_of_images_counts_and_not_the_one_above_it(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    for path, begin in ((tmp_path / "a/times.csv", 5.0), (tmp_path / "times.csv", 7.0)):
+        path.write_text(f"frame,time\n0,{begin}\n1,{begin + 0.1}\n")
+    clock = listed_clock({"a": tmp_path / "a"}, {"a": "a"}, {"a": {"0": "0", "1": "1"}})
+    assert clock is not None
+    assert list(clock.times["a"].values()) == [5.0, 5.1]
+
+
+def test_a_video_ends_where_it_cannot_be_read_any_more() -> None:
+    def packets(_: Any) -> Iterator[int]:
+        yield from range(3)
+        raise av.FFmpegError(1, "damaged")
+
+    assert list(_packets(SimpleNamespace(demux=packets), None)) == [0, 1, 2]
 
 
 def content_of(path: Path) -> float:

@@ -17,7 +17,7 @@ from sphericalvision.cameras import (
     save_camera,
     save_rig,
 )
-from sphericalvision.cameras.calibration.formats import FileFormat, file_formats, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat, file_formats
 from sphericalvision.cameras.calibration.text_files import load, looks_structured
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import invert_transform, transform_from_axis_angle
@@ -130,4 +130,4 @@ def test_a_rig_is_read_back_as_written(tmp_path: Path, format: FileFormat, turn:
 
 def test_a_name_is_given_once() -> None:
     with pytest.raises(ArgumentError, match=r"'kalibr' is .*already"):
-        register_format(FileFormat("kalibr", "another"))
+        FileFormat("kalibr", "another").register()

@@ -16,7 +16,7 @@ import re
 from pathlib import Path
 
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, has_all, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat, has_all
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called
 from sphericalvision.core import FileFormatError
@@ -49,12 +49,10 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     return Gathered(options).add(path.stem, camera, values.where).contents
 
 
-register_format(
-    FileFormat(
-        "adapter",
-        "Fisheye-Calib-Adapter yaml",
-        recognizes_keys=has_all("image", "parameter"),
-        contents_of_keys=contents,
-        ignored="",
-    )
-)
+FileFormat(
+    "adapter",
+    "Fisheye-Calib-Adapter yaml",
+    recognizes_keys=has_all("image", "parameter"),
+    contents_of_keys=contents,
+    ignored="",
+).register()

@@ -21,7 +21,7 @@ from pathlib import Path
 from torch import Tensor
 
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, has_all, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat, has_all
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called
 from sphericalvision.cameras.calibration.parsing import numbers
@@ -74,12 +74,10 @@ def _pose(values: Keys) -> Tensor:
     return transform_from_numbers(wxyz, translation, where)
 
 
-register_format(
-    FileFormat(
-        "aria",
-        "Project Aria json",
-        recognizes_keys=has_all("CameraCalibrations"),
-        contents_of_keys=contents,
-        ignored=r"DeviceClassInfo|\w+Calibrations|\w*Origin\w*|.*/(SerialNumber|Description|Confidence|Time\w*)",
-    )
-)
+FileFormat(
+    "aria",
+    "Project Aria json",
+    recognizes_keys=has_all("CameraCalibrations"),
+    contents_of_keys=contents,
+    ignored=r"DeviceClassInfo|\w+Calibrations|\w*Origin\w*|.*/(SerialNumber|Description|Confidence|Time\w*)",
+).register()

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, has_any, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat, has_any
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called, lens_of, models_of, numbers_of
 from sphericalvision.cameras.rig import CameraRig
@@ -103,17 +103,15 @@ def _values(camera: Camera, body_from_camera: Tensor) -> dict[str, Any]:
     }
 
 
-register_format(
-    FileFormat(
-        "asl",
-        f"EuRoC {_NAME}",
-        recognizes_keys=has_any("T_BS", "sensor_type"),
-        contents_of_keys=contents,
-        ignored="",
-        files_of_rig=files_of_rig,
-        usual_names=(_NAME,),
-        models=models_of(_LENSES),
-        write_camera=write_asl_camera,
-        write_rig=write_asl_rig,
-    )
-)
+FileFormat(
+    "asl",
+    f"EuRoC {_NAME}",
+    recognizes_keys=has_any("T_BS", "sensor_type"),
+    contents_of_keys=contents,
+    ignored="",
+    files_of_rig=files_of_rig,
+    usual_names=(_NAME,),
+    models=models_of(_LENSES),
+    write_camera=write_asl_camera,
+    write_rig=write_asl_rig,
+).register()

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, has_all, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat, has_all
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import (
     Lens,
@@ -114,17 +114,15 @@ def write_basalt(cameras: Camera | CameraRig, path: str | Path) -> None:
     write_json(path, {"value0": value0})
 
 
-register_format(
-    FileFormat(
-        "basalt",
-        "Basalt json",
-        recognizes_keys=has_all("value0"),
-        contents_of_keys=contents,
-        ignored=r"value0/(\w*(accel|gyro|imu_update|mocap|marker|vignette)\w*|cam_time_offset_ns|view_offset)|value\d/cereal\w*",
-        usual_names=("calibration.json",),
-        models=models_of(_LENSES),
-        write_camera=write_basalt,
-        write_rig=write_basalt,
-        holds_masks=True,
-    )
-)
+FileFormat(
+    "basalt",
+    "Basalt json",
+    recognizes_keys=has_all("value0"),
+    contents_of_keys=contents,
+    ignored=r"value0/(\w*(accel|gyro|imu_update|mocap|marker|vignette)\w*|cam_time_offset_ns|view_offset)|value\d/cereal\w*",
+    usual_names=("calibration.json",),
+    models=models_of(_LENSES),
+    write_camera=write_basalt,
+    write_rig=write_basalt,
+    holds_masks=True,
+).register()

@@ -27,7 +27,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.parsing import (
     errors_of_file,
@@ -165,13 +165,11 @@ def _panorama(values: Keys, size: tuple[int, int]) -> Camera:
     return EquirectangularCamera(size, latitudes=(south, north), longitudes=(west, east))
 
 
-register_format(
-    FileFormat(
-        "blender",
-        "Blender cameras as json",
-        recognizes_keys=recognizes,
-        contents_of_keys=contents,
-        ignored=r"cameras/.*/(lens|lens_unit|angle(_[xy])?|ortho_scale|clip_\w+|display_\w+|dof|sensor_(width|height|fit)"
-        r"|panorama_type|shift_[xy]|fisheye_(fov|lens|polynomial_k\d)|(longitude|latitude)_(min|max))",
-    )
-)
+FileFormat(
+    "blender",
+    "Blender cameras as json",
+    recognizes_keys=recognizes,
+    contents_of_keys=contents,
+    ignored=r"cameras/.*/(lens|lens_unit|angle(_[xy])?|ortho_scale|clip_\w+|display_\w+|dof|sensor_(width|height|fit)"
+    r"|panorama_type|shift_[xy]|fisheye_(fov|lens|polynomial_k\d)|(longitude|latitude)_(min|max))",
+).register()

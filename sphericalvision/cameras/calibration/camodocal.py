@@ -22,7 +22,7 @@ from typing import Any
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys, check_understood
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called
 from sphericalvision.cameras.calibration.ocam_text import make_ocam_of_columns
@@ -118,15 +118,13 @@ def kitti360_contents(path: Path, options: Options) -> Contents:
     return calibration.contents
 
 
-register_format(
-    FileFormat(
-        "camodocal",
-        "KITTI-360 and other camodocal yaml",
-        recognizes_keys=recognizes,
-        contents_of_keys=contents,
-        ignored=IGNORED,
-        recognizes_file=lambda path: path.name == KITTI360_POSES,
-        contents_of_file=kitti360_contents,
-        usual_names=(KITTI360_POSES,),
-    )
-)
+FileFormat(
+    "camodocal",
+    "KITTI-360 and other camodocal yaml",
+    recognizes_keys=recognizes,
+    contents_of_keys=contents,
+    ignored=IGNORED,
+    recognizes_file=lambda path: path.name == KITTI360_POSES,
+    contents_of_file=kitti360_contents,
+    usual_names=(KITTI360_POSES,),
+).register()

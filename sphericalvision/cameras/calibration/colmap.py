@@ -39,7 +39,7 @@ from sphericalvision.cameras.calibration.colmap_records import (
     text_files,
 )
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.lenses import (
     PANORAMA,
     Lens,
@@ -282,15 +282,13 @@ def _record(id: int, camera: Camera) -> CameraRecord:
     return CameraRecord("", id, lens.name, (width, height), numbers)
 
 
-register_format(
-    FileFormat(
-        "colmap",
-        "COLMAP cameras, rigs and images (.txt, .bin)",
-        recognizes_file=recognizes,
-        contents_of_file=contents,
-        usual_names=("cameras.bin", "cameras.txt"),
-        models=models_of(_LENSES),
-        write_camera=write_colmap,
-        write_rig=write_colmap_rig,
-    )
-)
+FileFormat(
+    "colmap",
+    "COLMAP cameras, rigs and images (.txt, .bin)",
+    recognizes_file=recognizes,
+    contents_of_file=contents,
+    usual_names=("cameras.bin", "cameras.txt"),
+    models=models_of(_LENSES),
+    write_camera=write_colmap,
+    write_rig=write_colmap_rig,
+).register()

@@ -54,6 +54,17 @@ class FileFormat:
     """Names of the camera models that are written with a skew."""
     holds_masks: bool = False
 
+    def register(self) -> None:
+        """Make the format known to ``read_camera``, ``read_rig``, ``save_camera`` and ``save_rig``.
+
+        A package that others install names its formats as entry points of the group ``sphericalvision.formats``
+        instead.
+
+        Raises:
+            ArgumentError: another format has its name.
+        """
+        FORMATS.add(self.name, self)
+
 
 FORMATS: Registry[FileFormat] = Registry(
     "format",
@@ -62,18 +73,6 @@ FORMATS: Registry[FileFormat] = Registry(
     ENTRY_POINTS,
     folder="sphericalvision.cameras.calibration",
 )
-
-
-def register_format(format: FileFormat) -> FileFormat:
-    """Make a format known to ``read_camera``, ``read_rig``, ``save_camera`` and ``save_rig``.
-
-    A package that others install names its formats as entry points of the group ``sphericalvision.formats`` instead.
-
-    Raises:
-        ArgumentError: another format has its name.
-    """
-    FORMATS.add(format.name, format)
-    return format
 
 
 def has_all(*keys: str) -> Callable[[dict[str, Any]], bool]:

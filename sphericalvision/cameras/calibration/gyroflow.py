@@ -15,7 +15,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, has_all, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat, has_all
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import distorted
 from sphericalvision.cameras.calibration.parsing import camera_matrix
@@ -42,13 +42,11 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     return Gathered(options).add(path.stem, camera, content.where).contents
 
 
-register_format(
-    FileFormat(
-        "gyroflow",
-        "Gyroflow lens profile",
-        recognizes_keys=has_all("fisheye_params", "calib_dimension"),
-        contents_of_keys=contents,
-        ignored=r"(?!(calib|crop|input|distortion|asym|digital_lens$|interpol|fisheye))[^/]+"
-        r"|(calib_dimension|fisheye_params)/(radial_distortion_limit|RMS_error)|calibrated_by|calibrator_version|crop_factor|crop",
-    )
-)
+FileFormat(
+    "gyroflow",
+    "Gyroflow lens profile",
+    recognizes_keys=has_all("fisheye_params", "calib_dimension"),
+    contents_of_keys=contents,
+    ignored=r"(?!(calib|crop|input|distortion|asym|digital_lens$|interpol|fisheye))[^/]+"
+    r"|(calib_dimension|fisheye_params)/(radial_distortion_limit|RMS_error)|calibrated_by|calibrator_version|crop_factor|crop",
+).register()

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens, as_rig, lens_called, lens_of, models_of
 from sphericalvision.cameras.calibration.parsing import (
@@ -181,16 +181,14 @@ def _values(camera: Camera) -> dict[str, Any]:
     }
 
 
-register_format(
-    FileFormat(
-        "kalibr",
-        "Kalibr camchain",
-        recognizes_keys=recognizes,
-        contents_of_keys=contents,
-        ignored=r"imu\d*|T_imu_body|.*/(rostopic|cam_overlaps|line_delay\w*)",
-        usual_names=("camchain.yaml",),
-        models=models_of(_LENSES),
-        write_camera=write_kalibr,
-        write_rig=write_kalibr,
-    )
-)
+FileFormat(
+    "kalibr",
+    "Kalibr camchain",
+    recognizes_keys=recognizes,
+    contents_of_keys=contents,
+    ignored=r"imu\d*|T_imu_body|.*/(rostopic|cam_overlaps|line_delay\w*)",
+    usual_names=("camchain.yaml",),
+    models=models_of(_LENSES),
+    write_camera=write_kalibr,
+    write_rig=write_kalibr,
+).register()

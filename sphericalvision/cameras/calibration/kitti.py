@@ -16,7 +16,7 @@ import re
 from pathlib import Path
 
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys, check_understood
 from sphericalvision.cameras.calibration.lenses import distorted
 from sphericalvision.cameras.calibration.parsing import camera_matrix
@@ -57,12 +57,10 @@ def contents(path: Path, options: Options) -> Contents:
     return calibration.contents
 
 
-register_format(
-    FileFormat(
-        "kitti",
-        f"KITTI {KITTI_NAME}",
-        recognizes_file=recognizes,
-        contents_of_file=contents,
-        usual_names=(KITTI_NAME,),
-    )
-)
+FileFormat(
+    "kitti",
+    f"KITTI {KITTI_NAME}",
+    recognizes_file=recognizes,
+    contents_of_file=contents,
+    usual_names=(KITTI_NAME,),
+).register()

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import distorted
 from sphericalvision.cameras.calibration.parsing import camera_matrix
@@ -51,13 +51,11 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     return calibration.contents
 
 
-register_format(
-    FileFormat(
-        "mc_calib",
-        "MC-Calib calibrated_cameras_data",
-        recognizes_keys=recognizes,
-        contents_of_keys=contents,
-        tells_unit=False,
-        ignored="",
-    )
-)
+FileFormat(
+    "mc_calib",
+    "MC-Calib calibrated_cameras_data",
+    recognizes_keys=recognizes,
+    contents_of_keys=contents,
+    tells_unit=False,
+    ignored="",
+).register()

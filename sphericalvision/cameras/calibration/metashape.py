@@ -27,7 +27,7 @@ import torch
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options, warn_left_out
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens
 from sphericalvision.cameras.calibration.parsing import (
@@ -229,12 +229,10 @@ def _camera(values: Keys, sensor: Keys, where: str) -> Camera:
     return lens.camera([*plane, *coefficients[:5]], size, where, skew=b2 or None)
 
 
-register_format(
-    FileFormat(
-        "metashape",
-        "Metashape xml",
-        recognizes_keys=recognizes,
-        contents_of_keys=contents,
-        ignored=_IGNORED,
-    )
-)
+FileFormat(
+    "metashape",
+    "Metashape xml",
+    recognizes_keys=recognizes,
+    contents_of_keys=contents,
+    ignored=_IGNORED,
+).register()

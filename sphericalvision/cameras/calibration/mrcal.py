@@ -15,7 +15,7 @@ import ast
 from pathlib import Path
 
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import as_keys, check_understood, with_keys
 from sphericalvision.cameras.calibration.lenses import distorted
 from sphericalvision.cameras.calibration.poses import transform_from_rotation_vector
@@ -58,12 +58,10 @@ def contents(path: Path, options: Options) -> Contents:
     return Gathered(options).add(path.stem, camera, where, pose).contents
 
 
-register_format(
-    FileFormat(
-        "mrcal",
-        "mrcal cameramodel",
-        recognizes_file=recognizes,
-        contents_of_file=contents,
-        files_of_rig=files_of_rig,
-    )
-)
+FileFormat(
+    "mrcal",
+    "mrcal cameramodel",
+    recognizes_file=recognizes,
+    contents_of_file=contents,
+    files_of_rig=files_of_rig,
+).register()

@@ -24,7 +24,7 @@ from typing import Any
 import torch
 
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys, check_understood
 from sphericalvision.cameras.calibration.ocam_text import make_ocam_of_columns
 from sphericalvision.cameras.calibration.text_files import load_keys
@@ -78,13 +78,11 @@ def _camera(content: Keys) -> OCamCamera:
     return make_ocam_of_columns(direct, inverse, [u0, v0], [c, d, e], size, content.at("Camera.c"))
 
 
-register_format(
-    FileFormat(
-        "multicol",
-        "Lafida/MultiCol yaml",
-        recognizes_keys=recognizes,
-        contents_of_keys=contents,
-        ignored=_IGNORED,
-        usual_names=(MULTICOL_POSES,),
-    )
-)
+FileFormat(
+    "multicol",
+    "Lafida/MultiCol yaml",
+    recognizes_keys=recognizes,
+    contents_of_keys=contents,
+    ignored=_IGNORED,
+    usual_names=(MULTICOL_POSES,),
+).register()

@@ -10,7 +10,7 @@ import torch
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys, as_keys, with_keys
 from sphericalvision.cameras.calibration.parsing import errors_of_file, size_from_width_height
 from sphericalvision.cameras.native_files import (
@@ -95,17 +95,15 @@ def _limited(camera: Camera, options: Options) -> Camera:
     return camera if options.max_angle is None else camera.with_max_angle(options.max_angle)
 
 
-register_format(
-    FileFormat(
-        "native",
-        "the package's own YAML (save_camera, save_rig)",
-        recognizes_keys=recognizes,
-        contents_of_keys=contents,
-        ignored="config|dataset",  # of data sets, whose config.yaml may hold a rig of this kind
-        usual_names=("rig.yaml",),
-        write_camera=write_camera,
-        write_rig=CameraRig.to_yaml,
-        models_with_skew=("pinhole", "brown_conrady", "kannala_brandt", "unified"),
-        holds_masks=True,
-    )
-)
+FileFormat(
+    "native",
+    "the package's own YAML (save_camera, save_rig)",
+    recognizes_keys=recognizes,
+    contents_of_keys=contents,
+    ignored="config|dataset",  # of data sets, whose config.yaml may hold a rig of this kind
+    usual_names=("rig.yaml",),
+    write_camera=write_camera,
+    write_rig=CameraRig.to_yaml,
+    models_with_skew=("pinhole", "brown_conrady", "kannala_brandt", "unified"),
+    holds_masks=True,
+).register()

@@ -22,7 +22,7 @@ from typing import Any
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options, warn_left_out
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import (
     PANORAMA,
@@ -230,16 +230,14 @@ def _values(camera: Camera) -> tuple[str, dict[str, Any]]:
     }
 
 
-register_format(
-    FileFormat(
-        "nerfstudio",
-        "nerfstudio and instant-ngp transforms.json",
-        recognizes_keys=recognizes,
-        contents_of_keys=contents,
-        ignored=_IGNORED,
-        usual_names=("transforms.json",),
-        models=models_of(_LENSES),
-        write_camera=write_nerfstudio,
-        write_rig=write_nerfstudio,
-    )
-)
+FileFormat(
+    "nerfstudio",
+    "nerfstudio and instant-ngp transforms.json",
+    recognizes_keys=recognizes,
+    contents_of_keys=contents,
+    ignored=_IGNORED,
+    usual_names=("transforms.json",),
+    models=models_of(_LENSES),
+    write_camera=write_nerfstudio,
+    write_rig=write_nerfstudio,
+).register()

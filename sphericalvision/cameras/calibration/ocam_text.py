@@ -16,7 +16,7 @@ import torch
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.lenses import check_holds, numbers_of
 from sphericalvision.cameras.calibration.parsing import (
     errors_of_file,
@@ -231,15 +231,13 @@ def write_ocam_text(camera: Camera, path: str | Path) -> None:
         unfinished.write_text("\n".join(lines), encoding="utf-8")
 
 
-register_format(
-    FileFormat(
-        "ocamcalib",
-        "OCamCalib text, alone or several with poses.txt",
-        recognizes_file=recognizes,
-        contents_of_file=contents,
-        usual_names=(_POSES,),
-        tells_unit=False,
-        models=("ocam",),
-        write_camera=write_ocam_text,
-    )
-)
+FileFormat(
+    "ocamcalib",
+    "OCamCalib text, alone or several with poses.txt",
+    recognizes_file=recognizes,
+    contents_of_file=contents,
+    usual_names=(_POSES,),
+    tells_unit=False,
+    models=("ocam",),
+    write_camera=write_ocam_text,
+).register()

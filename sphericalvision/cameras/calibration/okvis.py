@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys
 from sphericalvision.cameras.calibration.lenses import distorted
 from sphericalvision.cameras.calibration.parsing import focal_lengths
@@ -43,12 +43,10 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     return calibration.contents
 
 
-register_format(
-    FileFormat(
-        "okvis",
-        "OKVIS configuration",
-        recognizes_keys=recognizes,
-        contents_of_keys=contents,
-        ignored=SETTINGS + r"[^/]+|cameras/(camera_type|slam_use)",
-    )
-)
+FileFormat(
+    "okvis",
+    "OKVIS configuration",
+    recognizes_keys=recognizes,
+    contents_of_keys=contents,
+    ignored=SETTINGS + r"[^/]+|cameras/(camera_type|slam_use)",
+).register()

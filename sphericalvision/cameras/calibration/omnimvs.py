@@ -15,7 +15,7 @@ from typing import Any
 
 from sphericalvision.cameras.base import check_single
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import refuse_mask_of_another
 from sphericalvision.cameras.calibration.ocam_text import make_ocam, ocam_numbers
@@ -105,16 +105,14 @@ def write_omnimvs(rig: CameraRig, path: str | Path) -> None:
     write_yaml(path, {"cameras": entries})
 
 
-register_format(
-    FileFormat(
-        "omnimvs",
-        "OmniMVS config.yaml",
-        recognizes_keys=recognizes,
-        contents_of_keys=contents,
-        ignored="config|dataset|cameras/img_dir",
-        usual_names=("config.yaml",),
-        models=("ocam",),
-        write_rig=write_omnimvs,
-        holds_masks=True,
-    )
-)
+FileFormat(
+    "omnimvs",
+    "OmniMVS config.yaml",
+    recognizes_keys=recognizes,
+    contents_of_keys=contents,
+    ignored="config|dataset|cameras/img_dir",
+    usual_names=("config.yaml",),
+    models=("ocam",),
+    write_rig=write_omnimvs,
+    holds_masks=True,
+).register()

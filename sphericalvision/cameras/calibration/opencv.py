@@ -27,7 +27,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import check_holds, distorted, numbers_of
 from sphericalvision.cameras.calibration.opencv_keys import (
@@ -265,18 +265,16 @@ def _values(camera: Camera, suffix: str) -> dict[str, Any]:
     return values
 
 
-register_format(
-    FileFormat(
-        "opencv",
-        "OpenCV FileStorage, ROS camera_info",
-        recognizes_keys=recognizes,
-        contents_of_keys=contents,
-        usual_names=("extrinsics.yml",),
-        tells_unit=False,
-        ignored=_IGNORED,
-        models=("pinhole", "brown_conrady", "kannala_brandt", "unified"),
-        models_with_skew=("kannala_brandt", "unified"),  # whose functions take notice of it
-        write_camera=write_opencv,
-        write_rig=write_opencv,
-    )
-)
+FileFormat(
+    "opencv",
+    "OpenCV FileStorage, ROS camera_info",
+    recognizes_keys=recognizes,
+    contents_of_keys=contents,
+    usual_names=("extrinsics.yml",),
+    tells_unit=False,
+    ignored=_IGNORED,
+    models=("pinhole", "brown_conrady", "kannala_brandt", "unified"),
+    models_with_skew=("kannala_brandt", "unified"),  # whose functions take notice of it
+    write_camera=write_opencv,
+    write_rig=write_opencv,
+).register()

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import distorted
 from sphericalvision.cameras.calibration.parsing import view_name
@@ -105,14 +105,12 @@ def _camera(values: Keys) -> Camera:
     return distorted(lens, [*plane, *more], size, values.where)
 
 
-register_format(
-    FileFormat(
-        "opensfm",
-        "OpenSfM and ODM cameras or reconstruction",
-        recognizes_keys=recognizes,
-        contents_of_keys=contents,
-        usual_names=("reconstruction.json", "camera_models.json"),
-        ignored=r"points|shots|biases|rig_\w+|reference_lla|reference|.*/\w+_prior|shots/.*/(gps_\w+|capture_time|vertices"
-        r"|faces|scale|covariance|merge_cc|is_\w+|compass|skey|gravity_\w+)",
-    )
-)
+FileFormat(
+    "opensfm",
+    "OpenSfM and ODM cameras or reconstruction",
+    recognizes_keys=recognizes,
+    contents_of_keys=contents,
+    usual_names=("reconstruction.json", "camera_models.json"),
+    ignored=r"points|shots|biases|rig_\w+|reference_lla|reference|.*/\w+_prior|shots/.*/(gps_\w+|capture_time|vertices"
+    r"|faces|scale|covariance|merge_cc|is_\w+|compass|skey|gravity_\w+)",
+).register()

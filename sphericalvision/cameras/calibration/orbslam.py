@@ -20,7 +20,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys
 from sphericalvision.cameras.calibration.lenses import Lens, lens_of, models_of, numbers_of
 from sphericalvision.cameras.rig import CameraRig
@@ -117,16 +117,14 @@ def _matrix_lines(key: str, transform: Tensor) -> list[str]:
     return [f"{key}: !!opencv-matrix", "   rows: 4", "   cols: 4", "   dt: d", f"   data: [ {data} ]"]
 
 
-register_format(
-    FileFormat(
-        "orbslam",
-        "ORB-SLAM3 settings",
-        recognizes_keys=recognizes,
-        contents_of_keys=contents,
-        ignored=SETTINGS + r"(?!Camera|Stereo|IMU\.T|LEFT|RIGHT|T).*|ThDepth"
-        r"|Camera\d?\.(fps|RGB|bf|b[Ff]ish[Ee]ye|newWidth|newHeight|imageScale|(overl|l)apping(Begin|End))|Stereo\.(ThDepth|b)",
-        models=models_of(_LENSES),
-        write_camera=write_orbslam,
-        write_rig=write_orbslam,
-    )
-)
+FileFormat(
+    "orbslam",
+    "ORB-SLAM3 settings",
+    recognizes_keys=recognizes,
+    contents_of_keys=contents,
+    ignored=SETTINGS + r"(?!Camera|Stereo|IMU\.T|LEFT|RIGHT|T).*|ThDepth"
+    r"|Camera\d?\.(fps|RGB|bf|b[Ff]ish[Ee]ye|newWidth|newHeight|imageScale|(overl|l)apping(Begin|End))|Stereo\.(ThDepth|b)",
+    models=models_of(_LENSES),
+    write_camera=write_orbslam,
+    write_rig=write_orbslam,
+).register()

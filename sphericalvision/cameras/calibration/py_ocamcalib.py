@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, has_all, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat, has_all
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.ocam_text import make_ocam_of_columns
 from sphericalvision.cameras.calibration.parsing import numbers
@@ -54,12 +54,10 @@ def _stretch(rows: Any, where: str) -> tuple[float, float, float]:
     return c, d, e
 
 
-register_format(
-    FileFormat(
-        "py_ocamcalib",
-        "py-OCamCalib json",
-        recognizes_keys=has_all("taylor_coefficient"),
-        contents_of_keys=contents,
-        ignored=r"valid|inverse_poly|extrinsics_t\w*|img_path|\w*_?images?_path",
-    )
-)
+FileFormat(
+    "py_ocamcalib",
+    "py-OCamCalib json",
+    recognizes_keys=has_all("taylor_coefficient"),
+    contents_of_keys=contents,
+    ignored=r"valid|inverse_poly|extrinsics_t\w*|img_path|\w*_?images?_path",
+).register()

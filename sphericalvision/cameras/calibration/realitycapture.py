@@ -22,7 +22,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys, check_understood, with_keys
 from sphericalvision.cameras.calibration.lenses import Lens
 from sphericalvision.cameras.calibration.poses import transform_from_rotation
@@ -97,12 +97,10 @@ def _pose(values: Keys) -> Tensor:
     return transform_from_rotation(columns, place, values.at("Rotation"))
 
 
-register_format(
-    FileFormat(
-        "realitycapture",
-        "RealityCapture xmp",
-        recognizes_file=recognizes,
-        contents_of_file=contents,
-        files_of_rig=files_of_rig,
-    )
-)
+FileFormat(
+    "realitycapture",
+    "RealityCapture xmp",
+    recognizes_file=recognizes,
+    contents_of_file=contents,
+    files_of_rig=files_of_rig,
+).register()

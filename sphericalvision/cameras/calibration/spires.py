@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import distorted
 from sphericalvision.cameras.calibration.poses import transform_from_numbers
@@ -48,12 +48,10 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     return calibration.contents
 
 
-register_format(
-    FileFormat(
-        "spires",
-        "Oxford Spires sensor.yaml",
-        recognizes_keys=recognizes,
-        contents_of_keys=contents,
-        ignored=r"sensor/(max_time_\w+|T_base_\w+|tf_\w+)|sensor/cameras/(topic|T_cam_imu_\w+)",
-    )
-)
+FileFormat(
+    "spires",
+    "Oxford Spires sensor.yaml",
+    recognizes_keys=recognizes,
+    contents_of_keys=contents,
+    ignored=r"sensor/(max_time_\w+|T_base_\w+|tf_\w+)|sensor/cameras/(topic|T_cam_imu_\w+)",
+).register()

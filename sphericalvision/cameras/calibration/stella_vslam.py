@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called
 
@@ -48,13 +48,11 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     return Gathered(options).add(name, lens.camera(intrinsics, size, values.where), values.where).contents
 
 
-register_format(
-    FileFormat(
-        "stella_vslam",
-        "stella_vslam's and OpenVSLAM's settings",
-        recognizes_keys=recognizes,
-        contents_of_keys=contents,
-        ignored=SETTINGS
-        + r"(?!Camera).*|Camera[./](setup|color_order|fps|focal_x_baseline|depth_threshold|depthmap_factor)",
-    )
-)
+FileFormat(
+    "stella_vslam",
+    "stella_vslam's and OpenVSLAM's settings",
+    recognizes_keys=recognizes,
+    contents_of_keys=contents,
+    ignored=SETTINGS
+    + r"(?!Camera).*|Camera[./](setup|color_order|fps|focal_x_baseline|depth_threshold|depthmap_factor)",
+).register()

@@ -18,7 +18,7 @@ from typing import Any
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys
 from sphericalvision.cameras.calibration.lenses import distorted
 from sphericalvision.core import FileFormatError
@@ -78,12 +78,10 @@ def _first_age(content: Keys) -> Camera:
     return distorted("radtan", [fx, fy, cx, cy, *more], size, content.where)
 
 
-register_format(
-    FileFormat(
-        "svo",
-        "SVO and SVO Pro cameras",
-        recognizes_keys=recognizes,
-        contents_of_keys=contents,
-        ignored=SETTINGS + r"(?!cam)[^/]+|cameras/camera/line-delay-nanoseconds",
-    )
-)
+FileFormat(
+    "svo",
+    "SVO and SVO Pro cameras",
+    recognizes_keys=recognizes,
+    contents_of_keys=contents,
+    ignored=SETTINGS + r"(?!cam)[^/]+|cameras/camera/line-delay-nanoseconds",
+).register()

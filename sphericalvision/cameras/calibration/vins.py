@@ -16,7 +16,7 @@ from pathlib import Path
 
 from sphericalvision.cameras.calibration import camodocal
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, has_any, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat, has_any
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys
 from sphericalvision.core import FileFormatError, check_file, short_repr
 
@@ -54,13 +54,11 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     return calibration.contents
 
 
-register_format(
-    FileFormat(
-        "vins",
-        "VINS-Fusion estimator yaml",
-        recognizes_keys=has_any("cam0_calib", "num_of_cam"),
-        contents_of_keys=contents,
-        ignored=SETTINGS
-        + "(?!image_|cam|body|num_of_cam|extrinsic|distortion|projection|model).*|image\\d?_topic",
-    )
-)
+FileFormat(
+    "vins",
+    "VINS-Fusion estimator yaml",
+    recognizes_keys=has_any("cam0_calib", "num_of_cam"),
+    contents_of_keys=contents,
+    ignored=SETTINGS
+    + "(?!image_|cam|body|num_of_cam|extrinsic|distortion|projection|model).*|image\\d?_topic",
+).register()

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
-from sphericalvision.cameras.calibration.formats import FileFormat, register_format
+from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.parsing import errors_of_file
 from sphericalvision.cameras.calibration.poses import transform_from_numbers
@@ -72,13 +72,11 @@ def _is_woodscape(path: Path) -> bool:
     return isinstance(content, dict) and recognizes(content)
 
 
-register_format(
-    FileFormat(
-        "woodscape",
-        "WoodScape json",
-        recognizes_keys=recognizes,
-        contents_of_keys=contents,
-        ignored="",
-        files_of_rig=files_of_rig,
-    )
-)
+FileFormat(
+    "woodscape",
+    "WoodScape json",
+    recognizes_keys=recognizes,
+    contents_of_keys=contents,
+    ignored="",
+    files_of_rig=files_of_rig,
+).register()

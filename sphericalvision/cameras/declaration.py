@@ -11,8 +11,8 @@ The class attributes of a model are its constructor's arguments, in order, as wi
         image_size: ImageSize = ImageSize()
         max_angle: MaxAngle = MaxAngle(default=None)
 
-An instance has values under these names. Their types are in ``__get__`` (what is read) and ``__set__`` (what the
-constructor takes), which exist for type checkers only.
+An instance has values under these names. For type checkers each has two types: that which is read, and that which the
+constructor takes.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, dataclass_transform
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, dataclass_transform
 
 import torch
 from jaxtyping import Float
@@ -36,13 +36,23 @@ ANY = 0
 _REQUIRED: Any = inspect.Parameter.empty
 
 
-class Declared:
-    """An argument of a camera's constructor."""
+Value = TypeVar("Value")
+Argument = TypeVar("Argument")
+
+
+class Declared(Generic[Value, Argument]):
+    """An argument of a camera's constructor: what is read from a camera, and what the constructor takes."""
 
     default: Any = _REQUIRED
 
+    if TYPE_CHECKING:
 
-class Intrinsic(Declared):
+        def __get__(self, camera: object, owner: object) -> Value: ...
+
+        def __set__(self, camera: object, value: Argument) -> None: ...
+
+
+class Intrinsic(Declared[Tensor, float | Sequence[float] | Tensor]):
     """A tensor (*b, n), or (*b,) of one number a camera.
 
     Args:
@@ -69,12 +79,6 @@ class Intrinsic(Declared):
     ) -> None:
         self.sizes, self.unit, self.named = sizes, unit, named
         self.above, self.below, self.least, self.most = above, below, least, most
-
-    if TYPE_CHECKING:
-
-        def __get__(self, camera: object, owner: object) -> Tensor: ...
-
-        def __set__(self, camera: object, value: float | Sequence[float] | Tensor) -> None: ...
 
     def names(self, name: str) -> list[str]:
         """Of the numbers of the intrinsic ``name``."""
@@ -115,43 +119,27 @@ class OptionalIntrinsic(Intrinsic):
         def __set__(self, camera: object, value: float | Sequence[float] | Tensor | None) -> None: ...
 
 
-class Choice(Declared):
+class Choice(Declared[str, str]):
     """One of several words."""
 
     def __init__(self, *choices: str, default: Any = _REQUIRED) -> None:
         self.choices, self.default = choices, default
 
-    if TYPE_CHECKING:
 
-        def __get__(self, camera: object, owner: object) -> str: ...
-
-        def __set__(self, camera: object, value: str) -> None: ...
-
-
-class ImageSize(Declared):
+class ImageSize(Declared[tuple[int, int], Sequence[int]]):
     """(height, width)."""
 
-    if TYPE_CHECKING:
 
-        def __get__(self, camera: object, owner: object) -> tuple[int, int]: ...
-
-        def __set__(self, camera: object, value: Sequence[int]) -> None: ...
-
-
-class MaxAngle(Declared):
+class MaxAngle(Declared[Tensor, float | Tensor | None]):
     """Half the field of view in radians, a number or (*b,); by default where the model ends."""
 
     def __init__(self, default: Any = _REQUIRED) -> None:
         self.default = default
 
-    if TYPE_CHECKING:
 
-        def __get__(self, camera: object, owner: object) -> Tensor: ...
-
-        def __set__(self, camera: object, value: float | Tensor | None) -> None: ...
-
-
-def constructor(declared: Mapping[str, Declared], assign: Callable[[Any, dict[str, Any]], None]) -> Any:
+def constructor(
+    declared: Mapping[str, Declared[Any, Any]], assign: Callable[[Any, dict[str, Any]], None]
+) -> Any:
     """The ``__init__`` that takes what is declared and hands it to ``assign``."""
     kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
     parameters = [inspect.Parameter("self", kind)]
@@ -176,7 +164,7 @@ class DeclaredModel:
     Attributes that are ``Declared`` in the class become arguments in their order, after those of its bases.
     """
 
-    declared: ClassVar[Mapping[str, Declared]] = {}
+    declared: ClassVar[Mapping[str, Declared[Any, Any]]] = {}
     """The arguments of the constructor, in order. What follows comes from them, or is written by models that have a
     constructor of their own."""
     intrinsic_names: ClassVar[tuple[str, ...]] = ()

@@ -26,7 +26,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.colmap_records import (
-    MODELS,
+    LENSES,
     CameraRecord,
     ImageRecord,
     PointRecords,
@@ -37,19 +37,13 @@ from sphericalvision.cameras.calibration.colmap_records import (
     images_in,
     rigs_in,
     text_files,
+    transform_of,
 )
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat
-from sphericalvision.cameras.calibration.lenses import (
-    PANORAMA,
-    Lens,
-    lens_called,
-    lens_of,
-    models_of,
-    numbers_of,
-)
+from sphericalvision.cameras.calibration.lenses import PANORAMA, lens_of, models_of, numbers_of
 from sphericalvision.cameras.calibration.parsing import size_from_width_height, view_name
-from sphericalvision.cameras.calibration.poses import quaternion_from_rotation, transform_from_numbers
+from sphericalvision.cameras.calibration.poses import quaternion_from_rotation
 from sphericalvision.cameras.calibration.text_files import data_lines, looks_structured
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, check_file
@@ -58,37 +52,6 @@ from sphericalvision.io.files import write_bytes
 
 _PARTS = ("cameras", "rigs", "images", "frames")
 _BY_NAME = (*(f"{part}.bin" for part in _PARTS), "rigs.txt", "images.txt", "frames.txt")
-_LENSES = (
-    Lens("PINHOLE", "pinhole", MODELS["PINHOLE"][1]),
-    Lens("SIMPLE_PINHOLE", "pinhole", MODELS["SIMPLE_PINHOLE"][1]),
-    Lens("OPENCV", "brown_conrady", MODELS["OPENCV"][1]),
-    Lens("FULL_OPENCV", "brown_conrady", MODELS["FULL_OPENCV"][1]),
-    Lens("SIMPLE_RADIAL", "brown_conrady", MODELS["SIMPLE_RADIAL"][1]),
-    Lens("RADIAL", "brown_conrady", MODELS["RADIAL"][1]),
-    Lens("OPENCV_FISHEYE", "kannala_brandt", MODELS["OPENCV_FISHEYE"][1]),
-    Lens("SIMPLE_RADIAL_FISHEYE", "kannala_brandt", MODELS["SIMPLE_RADIAL_FISHEYE"][1], "k2 k3 k4"),
-    Lens("RADIAL_FISHEYE", "kannala_brandt", MODELS["RADIAL_FISHEYE"][1], "k3 k4"),
-    Lens("FOV", "atan", MODELS["FOV"][1]),
-    Lens("DIVISION", "division", MODELS["DIVISION"][1]),
-    Lens("SIMPLE_DIVISION", "division", MODELS["SIMPLE_DIVISION"][1]),
-    Lens("EUCM", "extended_unified", MODELS["EUCM"][1]),
-    Lens("FISHEYE", "fisheye", MODELS["FISHEYE"][1], options={"projection": "equidistant"}),
-    Lens("SIMPLE_FISHEYE", "fisheye", MODELS["SIMPLE_FISHEYE"][1], options={"projection": "equidistant"}),
-    Lens(
-        "THIN_PRISM_FISHEYE",
-        "thin_prism_fisheye",
-        MODELS["THIN_PRISM_FISHEYE"][1],
-        options={"composition": "additive"},
-    ),
-    Lens(
-        "RAD_TAN_THIN_PRISM_FISHEYE",
-        "thin_prism_fisheye",
-        MODELS["RAD_TAN_THIN_PRISM_FISHEYE"][1],
-        options={"composition": "sequential"},
-    ),
-    PANORAMA,
-)
-"""Of several for one class the first that holds a camera is written."""
 
 
 def recognizes(path: Path) -> bool:
@@ -118,7 +81,7 @@ def contents(path: Path, options: Options) -> Contents:
     cameras = _cameras(file, options)
     if file_type == "cameras" and options.rig:
         rigs = rigs_in(paths["rigs"]) if paths["rigs"].is_file() else []
-        if any(rig.sensors for rig in rigs):
+        if any(len(rig.sensors) > 1 for rig in rigs):
             file_type = "rigs"
         elif paths["images"].is_file():
             file_type = "images"
@@ -139,14 +102,14 @@ def _cameras(path: Path, options: Options) -> dict[str, Camera]:
 
 
 def _of_rigs(rigs: list[RigRecord], cameras: dict[str, Camera], path: Path, options: Options) -> Contents:
-    several = [rig for rig in rigs if rig.sensors]
+    several = [rig for rig in rigs if len(rig.sensors) > 1]
     if len(several) != 1:
         raise FileFormatError(
             f"{path}: expected one rig of several cameras, got {len(several)}; the poses of images are in "
             f"images{path.suffix}"
         )
     rig, calibration = several[0], Gathered(options)
-    for sensor in (rig.reference._replace(pose=[1.0, 0, 0, 0, 0, 0, 0]), *rig.sensors):
+    for sensor in rig.sensors:
         name = f"cam{sensor.id}"
         if sensor.type != "CAMERA":
             continue
@@ -154,7 +117,8 @@ def _of_rigs(rigs: list[RigRecord], cameras: dict[str, Camera], path: Path, opti
             raise FileFormatError(f"{rig.where}: expected a number of a camera, got {sensor.id}")
         if sensor.pose is None:
             raise FileFormatError(f"{rig.where}: camera {sensor.id} has no pose in the rig")
-        calibration.add(name, cameras[name], rig.where, _world_from(sensor.pose, rig.where))
+        pose = invert_transform(transform_of(sensor.pose, rig.where))
+        calibration.add(name, cameras[name], rig.where, pose)
     if not calibration.cameras:
         raise FileFormatError(f"{rig.where}: the rig has no camera")
     return calibration.contents
@@ -172,26 +136,21 @@ def _of_images(
             raise FileFormatError(
                 f"{image.where}: there is no camera {image.camera} in cameras{path.suffix}; it has {', '.join(cameras)}"
             )
-        calibration.add(name, camera, image.where, _world_from(image.pose, image.where))
+        pose = invert_transform(transform_of(image.pose, image.where))
+        calibration.add(name, camera, image.where, pose)
     if not calibration.cameras:
         raise FileFormatError(f"{path}: no image in it")
     return calibration.contents
 
 
-def _world_from(pose: list[float], where: str) -> Tensor:
-    """Camera to world (4, 4) of a quaternion and a translation, world to camera."""
-    return invert_transform(transform_from_numbers(pose[:4], pose[4:], where))
-
-
 def _camera(record: CameraRecord) -> Camera:
     where, numbers = record.where, record.parameters
     size = size_from_width_height(list(record.size), f"{where}, width and height")
-    lens = lens_called(_LENSES, record.model)
-    if lens is PANORAMA:
+    if record.lens.model == PANORAMA.model:
         if [size[1], size[0]] != numbers:
             raise FileFormatError(f"{where}, w and h: expected the image's width and height, got {numbers}")
-        numbers = []
-    return lens.camera(lens.shifted(numbers, -0.5), size, where)
+        return PANORAMA.camera([], size, where)
+    return record.lens.camera(record.lens.shifted(numbers, -0.5), size, where)
 
 
 def write_colmap(cameras: Camera | Mapping[str, Camera], path: str | Path) -> None:
@@ -204,7 +163,7 @@ def write_colmap(cameras: Camera | Mapping[str, Camera], path: str | Path) -> No
         raise ArgumentError("cameras: expected at least one camera, got none")
     path = Path(path)
     make = binary_files if path.suffix == ".bin" else text_files
-    (content,) = make(_records(named), [], []).values()
+    (content,) = make(_records(named), [], [], PointRecords()).values()
     write_bytes(path, content)
 
 
@@ -256,7 +215,7 @@ def write_colmap_model(
         SensorRecord("CAMERA", camera.id, _pose(pose))
         for camera, pose in zip(cameras, from_first, strict=True)
     ]
-    rigs = [RigRecord("", 1, sensors[0], sensors[1:])]
+    rigs = [RigRecord("", 1, sensors)]
     for suffix in suffixes:
         make = binary_files if suffix == ".bin" else text_files
         for name, content in make(cameras, images, rigs, points).items():
@@ -277,9 +236,10 @@ def _records(named: Mapping[str, Camera]) -> list[CameraRecord]:
 
 def _record(id: int, camera: Camera) -> CameraRecord:
     height, width = camera.image_size
-    lens, found = lens_of(camera, _LENSES, "colmap")
-    numbers = [float(width), float(height)] if lens is PANORAMA else lens.shifted(found, 0.5)
-    return CameraRecord("", id, lens.name, (width, height), numbers)
+    lens, numbers = lens_of(camera, LENSES, "colmap")
+    is_panorama = lens.model == PANORAMA.model
+    numbers = [float(width), float(height)] if is_panorama else lens.shifted(numbers, 0.5)
+    return CameraRecord("", id, lens, (width, height), numbers)
 
 
 FileFormat(
@@ -288,7 +248,7 @@ FileFormat(
     recognizes_file=recognizes,
     contents_of_file=contents,
     usual_names=("cameras.bin", "cameras.txt"),
-    models=models_of(_LENSES),
+    models=models_of(LENSES),
     write_camera=write_colmap,
     write_rig=write_colmap_rig,
 ).register()

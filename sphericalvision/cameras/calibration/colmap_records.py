@@ -14,6 +14,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from sphericalvision.cameras.calibration.lenses import PANORAMA, Lens
 from sphericalvision.cameras.calibration.parsing import numbers
 from sphericalvision.cameras.calibration.poses import transform_from_numbers
 from sphericalvision.cameras.calibration.text_files import data_lines
@@ -23,33 +24,41 @@ from sphericalvision.io.files import read_bytes, read_text
 
 Record = TypeVar("Record")
 
-MODELS: dict[str, tuple[int, str]] = {
-    "SIMPLE_PINHOLE": (0, "f cx cy"),
-    "PINHOLE": (1, "fx fy cx cy"),
-    "SIMPLE_RADIAL": (2, "f cx cy k1"),
-    "RADIAL": (3, "f cx cy k1 k2"),
-    "OPENCV": (4, "fx fy cx cy k1 k2 p1 p2"),
-    "OPENCV_FISHEYE": (5, "fx fy cx cy k1 k2 k3 k4"),
-    "FULL_OPENCV": (6, "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6"),
-    "FOV": (7, "fx fy cx cy omega"),
-    "SIMPLE_RADIAL_FISHEYE": (8, "f cx cy k1"),
-    "RADIAL_FISHEYE": (9, "f cx cy k1 k2"),
-    "THIN_PRISM_FISHEYE": (10, "fx fy cx cy k1 k2 p1 p2 k3 k4 sx1=s1 sy1=s3"),
-    "RAD_TAN_THIN_PRISM_FISHEYE": (
-        11,
-        "fx fy cx cy k0=k1 k1=k2 k2=k3 k3=k4 k4=k5 k5=k6 p0=p2 p1 s0=s1 s1=s2 s2=s3 s3=s4",
+LENSES = (
+    Lens("SIMPLE_PINHOLE", "pinhole", "f cx cy"),
+    Lens("PINHOLE", "pinhole", "fx fy cx cy"),
+    Lens("SIMPLE_RADIAL", "brown_conrady", "f cx cy k1"),
+    Lens("RADIAL", "brown_conrady", "f cx cy k1 k2"),
+    Lens("OPENCV", "brown_conrady", "fx fy cx cy k1 k2 p1 p2"),
+    Lens("OPENCV_FISHEYE", "kannala_brandt", "fx fy cx cy k1 k2 k3 k4"),
+    Lens("FULL_OPENCV", "brown_conrady", "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6"),
+    Lens("FOV", "atan", "fx fy cx cy omega"),
+    Lens("SIMPLE_RADIAL_FISHEYE", "kannala_brandt", "f cx cy k1", "k2 k3 k4"),
+    Lens("RADIAL_FISHEYE", "kannala_brandt", "f cx cy k1 k2", "k3 k4"),
+    Lens(
+        "THIN_PRISM_FISHEYE",
+        "thin_prism_fisheye",
+        "fx fy cx cy k1 k2 p1 p2 k3 k4 sx1=s1 sy1=s3",
+        options={"composition": "additive"},
     ),
-    "SIMPLE_DIVISION": (12, "f cx cy k=k1"),
-    "DIVISION": (13, "fx fy cx cy k=k1"),
-    "SIMPLE_FISHEYE": (14, "f cx cy"),
-    "FISHEYE": (15, "fx fy cx cy"),
-    "EUCM": (16, "fx fy cx cy alpha beta"),
-    "EQUIRECTANGULAR": (17, "w h"),
-}
-"""Name -> number in binary files, and the parameters, ``k=k1`` being one that COLMAP calls k and we k1."""
+    Lens(
+        "RAD_TAN_THIN_PRISM_FISHEYE",
+        "thin_prism_fisheye",
+        "fx fy cx cy k0=k1 k1=k2 k2=k3 k3=k4 k4=k5 k5=k6 p0=p2 p1 s0=s1 s1=s2 s2=s3 s3=s4",
+        options={"composition": "sequential"},
+    ),
+    Lens("SIMPLE_DIVISION", "division", "f cx cy k=k1"),
+    Lens("DIVISION", "division", "fx fy cx cy k=k1"),
+    Lens("SIMPLE_FISHEYE", "fisheye", "f cx cy", options={"projection": "equidistant"}),
+    Lens("FISHEYE", "fisheye", "fx fy cx cy", options={"projection": "equidistant"}),
+    Lens("EUCM", "extended_unified", "fx fy cx cy alpha beta"),
+    Lens("EQUIRECTANGULAR", "equirectangular", "w h", options=PANORAMA.options),
+)
+"""In the order of their numbers in binary files. Of one class that which holds most of a camera is written."""
 FORKED = 11
 """From this number on programs made from COLMAP have models of their own."""
 _SENSOR_TYPES = ("CAMERA", "IMU")
+_IDENTITY = [1.0, 0, 0, 0, 0, 0, 0]
 
 
 class CameraRecord(NamedTuple):
@@ -57,7 +66,7 @@ class CameraRecord(NamedTuple):
 
     where: str
     id: int
-    model: str
+    lens: Lens
     size: Sequence[Any]
     """Width, height."""
     parameters: list[float]
@@ -121,16 +130,8 @@ class RigRecord(NamedTuple):
 
     where: str
     id: int
-    reference: SensorRecord
     sensors: list[SensorRecord]
-    """All others."""
-
-
-def _parameters(model: str) -> list[str]:
-    return [word.split("=")[0] for word in MODELS[model][1].split()]
-
-
-_BY_NUMBER = {number: (name, _parameters(name)) for name, (number, _) in MODELS.items()}
+    """The reference sensor first."""
 
 
 def cameras_in(path: Path) -> list[CameraRecord]:
@@ -152,14 +153,14 @@ def images_in(path: Path) -> list[ImageRecord]:
 
 def _check_frames(images: list[ImageRecord], frames: list[FrameRecord], rigs: list[RigRecord]) -> None:
     sensor_from_rig = {
-        (rig.id, sensor.type, sensor.id): _transform(sensor.pose, rig.where)
+        (rig.id, sensor.type, sensor.id): transform_of(sensor.pose, rig.where)
         for rig in rigs
-        for sensor in (rig.reference._replace(pose=[1.0, 0, 0, 0, 0, 0, 0]), *rig.sensors)
+        for sensor in rig.sensors
         if sensor.pose is not None
     }
     by_id = {image.id: image for image in images}
     for frame in frames:
-        rig_from_world = _transform(frame.pose, frame.where)
+        rig_from_world = transform_of(frame.pose, frame.where)
         for id, sensor in frame.images.items():
             image, offset = by_id.get(id), sensor_from_rig.get((frame.rig, *sensor))
             if image is not None and image.camera != sensor[1]:
@@ -169,7 +170,7 @@ def _check_frames(images: list[ImageRecord], frames: list[FrameRecord], rigs: li
                 )
             if image is None or offset is None:  # not an image, or the sensor's place is not known
                 continue
-            expected, stated = offset @ rig_from_world, _transform(image.pose, image.where)
+            expected, stated = offset @ rig_from_world, transform_of(image.pose, image.where)
             if not torch.allclose(expected, stated, rtol=1e-5, atol=1e-4):
                 distance = (invert_transform(expected) - invert_transform(stated))[:3, 3].norm()
                 raise FileFormatError(
@@ -179,7 +180,8 @@ def _check_frames(images: list[ImageRecord], frames: list[FrameRecord], rigs: li
                 )
 
 
-def _transform(pose: list[float], where: str) -> Tensor:
+def transform_of(pose: list[float], where: str) -> Tensor:
+    """The rigid transform (4, 4) of a quaternion and a translation."""
     return transform_from_numbers(pose[:4], pose[4:], where)
 
 
@@ -209,8 +211,7 @@ def _text_images(path: Path) -> list[ImageRecord]:
                 f"{where}: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, got {line.strip()!r:.80}"
             )
         image, camera = _ids([entries[0], entries[8]], where)
-        pose = numbers(entries[1:8], f"{where}, QW QX QY QZ TX TY TZ", 7)
-        images.append(ImageRecord(where, image, pose, camera, entries[9].strip()))
+        images.append(ImageRecord(where, image, _pose(entries[1:8], where), camera, entries[9].strip()))
     return images
 
 
@@ -235,11 +236,12 @@ def _text_camera(words: list[str], where: str) -> CameraRecord:
         )
     if not re.fullmatch(r"\d{1,18}", words[0]):
         raise FileFormatError(f"{where}: expected a camera number of its own first, got {words[0]!r}")
-    if words[1] not in MODELS:
-        raise FileFormatError(f"{where}: expected a model among {', '.join(MODELS)}, got {words[1]}")
-    names = _parameters(words[1])
-    parameters = numbers(words[4:], f"{where}, {words[1]} ({' '.join(names)})", len(names))
-    return CameraRecord(where, int(words[0]), words[1], words[2:4], parameters)
+    lenses = {lens.name: lens for lens in LENSES}
+    if words[1] not in lenses:
+        raise FileFormatError(f"{where}: expected a model among {', '.join(lenses)}, got {words[1]}")
+    lens = lenses[words[1]]
+    parameters = numbers(words[4:], f"{where}, {lens.name} ({' '.join(lens.keys)})", len(lens.keys))
+    return CameraRecord(where, int(words[0]), lens, words[2:4], parameters)
 
 
 def _text_rig(words: list[str], where: str) -> RigRecord:
@@ -250,22 +252,20 @@ def _text_rig(words: list[str], where: str) -> RigRecord:
         return taken
 
     rig, count = _ids(take(2, "RIG_ID NUM_SENSORS"), where)
-    reference = SensorRecord("", 0, None)
     sensors: list[SensorRecord] = []
-    for place in range(min(count, len(words))):
+    for index in range(min(count, len(words))):
         type, id = take(2, "SENSOR_TYPE SENSOR_ID")
-        pose = None
-        if place and take(1, "HAS_POSE")[0] == "1":
-            pose = numbers(take(7, "QW QX QY QZ TX TY TZ"), f"{where}, QW QX QY QZ TX TY TZ", 7)
+        pose = None if index else _IDENTITY
+        if index and take(1, "HAS_POSE")[0] == "1":
+            pose = _pose(take(7, "QW QX QY QZ TX TY TZ"), where)
         if type not in _SENSOR_TYPES:
             raise FileFormatError(f"{where}: expected {' or '.join(_SENSOR_TYPES)}, got {type!r}")
-        sensor = SensorRecord(type, _ids([id], where)[0], pose)
-        reference, sensors = (reference, [*sensors, sensor]) if place else (sensor, sensors)
-    if count < 1 or len(sensors) + 1 < count or words:
+        sensors.append(SensorRecord(type, _ids([id], where)[0], pose))
+    if count < 1 or len(sensors) < count or words:
         raise FileFormatError(
             f"{where}: announces {count} sensors and has {len(sensors)} and {len(words)} words more; is it cut off?"
         )
-    return RigRecord(where, rig, reference, sensors)
+    return RigRecord(where, rig, sensors)
 
 
 def _text_frame(words: list[str], where: str) -> FrameRecord:
@@ -275,14 +275,18 @@ def _text_frame(words: list[str], where: str) -> FrameRecord:
             f"(SENSOR_TYPE SENSOR_ID DATA_ID), got {len(words)} words; is it cut off?"
         )
     types, sensors, images = words[10::3], _ids(words[11::3], where), _ids(words[12::3], where)
-    pose = numbers(words[2:9], f"{where}, QW QX QY QZ TX TY TZ", 7)
-    return FrameRecord(where, _ids(words[1:2], where)[0], pose, _sensors(types, sensors, images))
+    rig, pose = _ids(words[1:2], where)[0], _pose(words[2:9], where)
+    return FrameRecord(where, rig, pose, _sensors(types, sensors, images))
 
 
 def _sensors(types: Sequence[str], sensors: Sequence[int], data: Sequence[int]) -> dict[int, tuple[str, int]]:
     """Images by id; data of other sensors are numbered apart."""
     entries = zip(types, sensors, data, strict=True)
     return {image: (type, sensor) for type, sensor, image in entries if type == "CAMERA"}
+
+
+def _pose(values: list[Any], where: str) -> list[float]:
+    return numbers(values, f"{where}, QW QX QY QZ TX TY TZ", 7)
 
 
 def _ids(words: list[str], where: str) -> list[int]:
@@ -337,18 +341,17 @@ class _Bytes:
 def _binary_camera(file: _Bytes) -> CameraRecord:
     where = file.where
     id, model, width, height = file.take("IiQQ")
-    if model not in _BY_NUMBER:
-        raise FileFormatError(f"{where}: expected a model from 0 to {max(_BY_NUMBER)}, got {model}")
-    name, names = _BY_NUMBER[model]
-    if model >= FORKED and len(file.data) - file.at < 8 * len(names):
+    if not 0 <= model < len(LENSES):
+        raise FileFormatError(f"{where}: expected a model from 0 to {len(LENSES) - 1}, got {model}")
+    lens, count = LENSES[model], len(LENSES[model].keys)
+    if model >= FORKED and len(file.data) - file.at < 8 * count:
         raise FileFormatError(
-            f"{where}: model {model} is COLMAP's {name} of {len(names)} numbers, for which the file is too short. "
+            f"{where}: model {model} is COLMAP's {lens.name} of {count} numbers, for which the file is too short. "
             "Forks give other models this number, SphereSfM its SPHERE of three; export the model as text there, "
             "and call a panorama EQUIRECTANGULAR w h"
         )
-    values = list(file.take(f"{len(names)}d"))
-    parameters = numbers(values, f"{where}, {name} ({' '.join(names)})")
-    return CameraRecord(where, id, name, (width, height), parameters)
+    parameters = numbers(file.take(f"{count}d"), f"{where}, {lens.name} ({' '.join(lens.keys)})")
+    return CameraRecord(where, id, lens, (width, height), parameters)
 
 
 def _binary_image(file: _Bytes) -> ImageRecord:
@@ -356,7 +359,7 @@ def _binary_image(file: _Bytes) -> ImageRecord:
     image, *pose, camera = file.take("I7dI")
     name = file.word()
     file.skip(24 * file.take("Q")[0])
-    return ImageRecord(where, image, numbers(pose, f"{where}, QW QX QY QZ TX TY TZ"), camera, name)
+    return ImageRecord(where, image, _pose(pose, where), camera, name)
 
 
 def _binary_rig(file: _Bytes) -> RigRecord:
@@ -364,14 +367,13 @@ def _binary_rig(file: _Bytes) -> RigRecord:
     rig, count = file.take("II")
     if count < 1:
         raise FileFormatError(f"{where}: expected at least one sensor, got none")
-    reference = SensorRecord(*_binary_sensor(file), None)
-    sensors = []
+    sensors = [SensorRecord(*_binary_sensor(file), _IDENTITY)]
     for _ in range(count - 1):
         type, id = _binary_sensor(file)
         has_pose = file.take("B")[0]
-        pose = numbers(list(file.take("7d")), f"{where}, QW QX QY QZ TX TY TZ") if has_pose else None
+        pose = _pose(list(file.take("7d")), where) if has_pose else None
         sensors.append(SensorRecord(type, id, pose))
-    return RigRecord(where, rig, reference, sensors)
+    return RigRecord(where, rig, sensors)
 
 
 def _binary_frame(file: _Bytes) -> FrameRecord:
@@ -379,9 +381,7 @@ def _binary_frame(file: _Bytes) -> FrameRecord:
     _, rig, *pose, count = file.take("II7dI")
     entries = [(*_binary_sensor(file), *file.take("Q")) for _ in range(count)]
     types, sensors, images = zip(*entries, strict=True) if entries else ((), (), ())
-    return FrameRecord(
-        where, rig, numbers(pose, f"{where}, QW QX QY QZ TX TY TZ"), _sensors(types, sensors, images)
-    )
+    return FrameRecord(where, rig, _pose(pose, where), _sensors(types, sensors, images))
 
 
 def _binary_sensor(file: _Bytes) -> tuple[str, int]:
@@ -394,15 +394,12 @@ def _binary_sensor(file: _Bytes) -> tuple[str, int]:
 
 def _frames(images: list[ImageRecord], rig: RigRecord) -> list[list[ImageRecord]]:
     """Images by frames, in each of which a rig has taken one with each of its cameras, in order."""
-    size = len(rig.sensors) + 1
+    size = len(rig.sensors)
     return [images[first : first + size] for first in range(0, len(images), size)]
 
 
 def text_files(
-    cameras: list[CameraRecord],
-    images: list[ImageRecord],
-    rigs: list[RigRecord],
-    points: PointRecords = PointRecords(),  # noqa: B008
+    cameras: list[CameraRecord], images: list[ImageRecord], rigs: list[RigRecord], points: PointRecords
 ) -> dict[str, bytes]:
     """The files of a model by name; images come frame by frame, in which the one rig took one with each camera."""
     lines: dict[str, list[str]] = {
@@ -413,17 +410,15 @@ def text_files(
         "points3D": ["# POINT3D_ID X Y Z R G B ERROR TRACK[] as IMAGE_ID POINT2D_IDX"],
     }
     for camera in cameras:
-        lines["cameras"].append(_joined(camera.id, camera.model, *camera.size, *camera.parameters))
+        lines["cameras"].append(_joined(camera.id, camera.lens.name, *camera.size, *camera.parameters))
     for image in images:
         pairs = zip(image.pixels.tolist(), image.points.tolist(), strict=True)
         line = " ".join(f"{u:.3f} {v:.3f} {point + 1}" for (u, v), point in pairs)
         lines["images"] += [_joined(image.id, *image.pose, image.camera, image.name), line]
     for rig in rigs:
-        others = [
-            word for sensor in rig.sensors for word in (sensor.type, sensor.id, 1, *(sensor.pose or []))
-        ]
-        head = (rig.id, len(rig.sensors) + 1, rig.reference.type, rig.reference.id)
-        lines["rigs"].append(_joined(*head, *others))
+        first, *others = rig.sensors
+        poses = [word for sensor in others for word in (sensor.type, sensor.id, 1, *(sensor.pose or []))]
+        lines["rigs"].append(_joined(rig.id, len(rig.sensors), first.type, first.id, *poses))
         for number, frame in enumerate(_frames(images, rig), start=1):
             data = [word for image in frame for word in ("CAMERA", image.camera, image.id)]
             lines["frames"].append(_joined(number, rig.id, *frame[0].pose, len(frame), *data))
@@ -442,15 +437,12 @@ def _joined(*words: object) -> str:
 
 
 def binary_files(
-    cameras: list[CameraRecord],
-    images: list[ImageRecord],
-    rigs: list[RigRecord],
-    points: PointRecords = PointRecords(),  # noqa: B008
+    cameras: list[CameraRecord], images: list[ImageRecord], rigs: list[RigRecord], points: PointRecords
 ) -> dict[str, bytes]:
     """The same in binary."""
     chunks = [struct.pack("<Q", len(cameras))]
     for camera in cameras:
-        chunks.append(struct.pack("<IiQQ", camera.id, MODELS[camera.model][0], *camera.size))
+        chunks.append(struct.pack("<IiQQ", camera.id, LENSES.index(camera.lens), *camera.size))
         chunks.append(struct.pack(f"<{len(camera.parameters)}d", *camera.parameters))
     files = {"cameras.bin": b"".join(chunks)}
     if not images:
@@ -466,8 +458,9 @@ def binary_files(
     grouped = [(rig, frame) for rig in rigs for frame in _frames(images, rig)]
     frames = [struct.pack("<Q", len(grouped))]
     for rig in rigs:
-        chunks.append(struct.pack("<IIiI", rig.id, len(rig.sensors) + 1, 0, rig.reference.id))
-        chunks += [struct.pack("<iIB7d", 0, sensor.id, 1, *(sensor.pose or [])) for sensor in rig.sensors]
+        first, *others = rig.sensors
+        chunks.append(struct.pack("<IIiI", rig.id, len(rig.sensors), 0, first.id))
+        chunks += [struct.pack("<iIB7d", 0, sensor.id, 1, *(sensor.pose or [])) for sensor in others]
     for number, (rig, frame) in enumerate(grouped, start=1):
         frames.append(struct.pack("<II7dI", number, rig.id, *frame[0].pose, len(frame)))
         frames += [struct.pack("<iIQ", 0, image.camera, image.id) for image in frame]

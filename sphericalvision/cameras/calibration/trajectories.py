@@ -19,7 +19,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from sphericalvision.cameras.calibration.colmap_records import images_in
+from sphericalvision.cameras.calibration.colmap_records import images_in, transform_of
 from sphericalvision.cameras.calibration.keys import check_one_set
 from sphericalvision.cameras.calibration.parsing import FARTHEST, numbers, view_name
 from sphericalvision.cameras.calibration.poses import transform_from_numbers, transform_from_rows
@@ -249,9 +249,7 @@ def _images(path: Path) -> Trajectory:
                 "several cameras; expected poses of one camera, or of the rig itself, a line 'time x y z qx qy qz qw' "
                 "for each moment"
             )
-        named.append(
-            (name, invert_transform(transform_from_numbers(image.pose[:4], image.pose[4:], image.where)))
-        )
+        named.append((name, invert_transform(transform_of(image.pose, image.where))))
     if not named:
         raise FileFormatError(f"{path}: no image in it")
     order = {name: place for place, name in enumerate(in_order(name for name, _ in named))}

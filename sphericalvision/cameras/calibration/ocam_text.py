@@ -18,16 +18,12 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.lenses import check_holds, numbers_of
-from sphericalvision.cameras.calibration.parsing import (
-    errors_of_file,
-    numbers,
-    size_from_width_height,
-)
+from sphericalvision.cameras.calibration.parsing import errors_of_file, numbers, size_from_width_height
 from sphericalvision.cameras.calibration.poses import transform_from_rotation_vector
 from sphericalvision.cameras.calibration.text_files import data_lines, looks_structured
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, check_file
-from sphericalvision.io.files import atomic_write, by_numbers, read_text
+from sphericalvision.io.files import by_numbers, read_text, write_bytes
 
 STEREO_SETS_MAX_ANGLE = math.radians(110)
 """Half the field of view of the omnidirectional stereo sets' lenses, which their text files do not tell."""
@@ -63,7 +59,7 @@ def contents(path: Path, options: Options) -> Contents:
     return Gathered(options).add(path.stem, _ocam(path), str(path)).contents
 
 
-def _counted(values: list[float], where: str) -> list[float]:
+def counted(values: list[float], where: str) -> list[float]:
     """Coefficients from ``[count, *coefficients]``."""
     if len(values) < 2:
         raise FileFormatError(
@@ -78,25 +74,17 @@ def _counted(values: list[float], where: str) -> list[float]:
 
 
 def make_ocam(
-    direct: list[float],
-    inverse: list[float] | None,
-    center: list[float],
-    affine: list[float],
-    size: list[float],
+    direct: Sequence[float],
+    inverse: Sequence[float] | None,
+    center: Sequence[float],
+    affine: Sequence[float],
+    size: tuple[int, int],
     where: str,
 ) -> OCamCamera:
-    """A camera from numbers as files hold them: polynomials with their count in front, centre as (row, column)."""
-    row, column = center
-    height, width = size
-    image_size = size_from_width_height([width, height], f"{where}, image size")
+    """A camera of polynomials, a centre as (u, v) and OCamCalib's affine part, checked by ``check_inverse``."""
     with errors_of_file(where):
         camera = OCamCamera(
-            polynomial=torch.tensor(_counted(direct, f"{where}, direct polynomial"), dtype=torch.float64),
-            inverse_polynomial=None if inverse is None else _counted(inverse, f"{where}, inverse polynomial"),
-            principal_point=[column, row],
-            affine=affine,
-            image_size=image_size,
-            max_angle=math.pi,
+            torch.tensor(direct, dtype=torch.float64), inverse, center, affine, size, max_angle=math.pi
         )
     return check_inverse(camera, where)
 
@@ -109,24 +97,16 @@ def make_ocam_of_columns(
     size: tuple[int, int],
     where: str,
 ) -> OCamCamera:
-    """A camera of a program whose affine part c d e acts on (x, y), not on (row, column): centre as (column, row).
+    """A camera of a program whose affine part c d e acts on (x, y), not on (row, column).
 
     With radii in units c times smaller it is an ``OCamCamera``, which has 1 where that program has c.
     """
     c, d, e = affine
     if not 1e-3 < c < 1e3:  # it is a ratio of two sides of a pixel
         raise FileFormatError(f"{where}: expected the first number of the affine part about 1, got {c:g}")
-    scaled = [value * c ** (1 - power) for power, value in enumerate(direct)]
-    with errors_of_file(where):
-        camera = OCamCamera(
-            polynomial=torch.tensor(scaled, dtype=torch.float64),
-            inverse_polynomial=None if inverse is None else [value * c for value in inverse],
-            principal_point=list(center),
-            affine=[1 / c, e / c, d / c],
-            image_size=size,
-            max_angle=math.pi,
-        )
-    return check_inverse(camera, where)
+    direct = [value * c ** (1 - power) for power, value in enumerate(direct)]
+    inverse = None if inverse is None else [value * c for value in inverse]
+    return make_ocam(direct, inverse, center, [1 / c, e / c, d / c], size, where)
 
 
 def check_inverse(camera: OCamCamera, where: str) -> OCamCamera:
@@ -140,7 +120,7 @@ def check_inverse(camera: OCamCamera, where: str) -> OCamCamera:
     directions, valid = camera.unproject(pixels)
     back = camera.project(
         directions
-    ).pixels  # where the inverse polynomial is below 0, too, which is not seen
+    ).pixels  # also where the inverse polynomial is below 0, which is not seen
     off = float(torch.where(valid, (back - pixels).norm(dim=-1), 0.0).max())
     if off > 0.05 * camera.image_size[1]:
         raise FileFormatError(
@@ -167,9 +147,12 @@ def _ocam(path: Path) -> OCamCamera:
         numbers(words, f"{path}, line {number}, {name}", count)
         for (number, words), name, count in zip(lines, _LINES, counts, strict=False)
     )
-    for values, (number, _), name in zip((direct, inverse), lines, _LINES, strict=False):
-        _counted(values, f"{path}, line {number}, {name}")
-    return make_ocam(direct, inverse, center, affine, size, str(path))
+    direct, inverse = (
+        counted(values, f"{path}, line {number}, {name}")
+        for values, (number, _), name in zip((direct, inverse), lines, _LINES, strict=False)
+    )
+    image_size = size_from_width_height(size[::-1], f"{path}, image size")
+    return make_ocam(direct, inverse, center[::-1], affine, image_size, str(path))
 
 
 def _folder_contents(folder: Path, options: Options) -> Contents:
@@ -227,8 +210,7 @@ def write_ocam_text(camera: Camera, path: str | Path) -> None:
     lines = []
     for title, row in zip(_LINES, values.values(), strict=True):
         lines += [f"# {title}", "", " ".join(map(repr, row)), ""]
-    with atomic_write(path) as unfinished:
-        unfinished.write_text("\n".join(lines), encoding="utf-8")
+    write_bytes(path, "\n".join(lines).encode())
 
 
 FileFormat(

@@ -18,7 +18,8 @@ from sphericalvision.cameras.calibration.contents import Contents, Gathered, Opt
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import refuse_mask_of_another
-from sphericalvision.cameras.calibration.ocam_text import make_ocam, ocam_numbers
+from sphericalvision.cameras.calibration.ocam_text import counted, make_ocam, ocam_numbers
+from sphericalvision.cameras.calibration.parsing import size_from_width_height
 from sphericalvision.cameras.calibration.poses import axis_angle_from_rotation, transform_from_rotation_vector
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.cameras.rig import CameraRig
@@ -57,13 +58,13 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
 
 def _camera(values: Keys) -> OCamCamera:
     values.chosen("model", ("ocam",), default="ocam")
+    where = values.where
+    direct, inverse = values.numbers("poly"), values.get("inv_poly")
+    inverse = counted(values.numbers("inv_poly"), f"{where}, inverse polynomial") if inverse else None
+    center, affine = values.numbers("center", 2), values.numbers("affine", 3)
+    size = size_from_width_height(values.numbers("image_size", 2)[::-1], f"{where}, image size")
     return make_ocam(
-        values.numbers("poly"),
-        values.numbers("inv_poly") if values.get("inv_poly") else None,
-        values.numbers("center", 2),
-        values.numbers("affine", 3),
-        values.numbers("image_size", 2),
-        values.where,
+        counted(direct, f"{where}, direct polynomial"), inverse, center[::-1], affine, size, where
     )
 
 
@@ -93,10 +94,7 @@ def write_omnimvs(rig: CameraRig, path: str | Path) -> None:
                 "affine": values["affine"],
                 "image_size": values["size"],
                 "invalid_mask": f"mask{cam_id}.png",  # OmniMVS asks for it in any case
-                "pose": [
-                    *axis_angle_from_rotation(pose[:3, :3]),
-                    *pose[:3, 3].tolist(),
-                ],
+                "pose": [*axis_angle_from_rotation(pose[:3, :3]), *pose[:3, 3].tolist()],
                 "max_fov": math.degrees(2 * float(camera.max_angle)),
             }
         )

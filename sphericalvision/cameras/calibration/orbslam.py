@@ -26,7 +26,7 @@ from sphericalvision.cameras.calibration.lenses import Lens, lens_of, models_of,
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError, short_repr
 from sphericalvision.geometry import invert_transform
-from sphericalvision.io.files import atomic_write
+from sphericalvision.io.files import write_bytes
 
 _LENSES = (
     Lens("KannalaBrandt8", "kannala_brandt", "fx fy cx cy k1 k2 k3 k4"),
@@ -108,8 +108,7 @@ def write_orbslam(cameras: Camera | CameraRig, path: str | Path) -> None:
         lines += _matrix_lines(_BODY[0], poses[0])
         if len(several) == 2:
             lines += _matrix_lines(_STEREO[0], invert_transform(poses[0]) @ poses[1])
-    with atomic_write(path) as unfinished:
-        unfinished.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_bytes(path, ("\n".join(lines) + "\n").encode())
 
 
 def _matrix_lines(key: str, transform: Tensor) -> list[str]:

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 
 from sphericalvision.cameras.calibration.keys import Keys, with_keys
 from sphericalvision.core import FileFormatError
-from sphericalvision.io.files import atomic_write, read_text
+from sphericalvision.io.files import read_text, write_bytes
 from sphericalvision.io.yaml_files import parse_yaml
 
 STRUCTURED = (".yaml", ".yml", ".json", ".xml")
@@ -98,8 +98,7 @@ def parse_xml(text: str, path: Path) -> ElementTree.Element:
 
 def write_json(path: Path, content: Any) -> None:
     """Write keys with values as JSON, replacing the file at once."""
-    with atomic_write(path) as unfinished:
-        unfinished.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    write_bytes(path, (json.dumps(content, indent=1) + "\n").encode())
 
 
 def from_xml(element: ElementTree.Element, path: Path) -> Any:

@@ -91,13 +91,6 @@ def tabulated(coefficients: Float[Tensor, "*batch k"], widest: Float[Tensor, "*b
         return Inverse(tabulate_inverse(squared, _spread(squared_radius, most)), most.squeeze(-1))
 
 
-def radial_solution(samples: Samples, size: int) -> Float[Tensor, " k"]:
-    """So many coefficients (size,) by linear least squares."""
-    angle = samples.angle
-    powers = torch.stack([angle ** (2 * k + 3) for k in range(size)], dim=-1)
-    return solve_linear(powers, samples.radius - angle)
-
-
 @model_function
 def project_kannala_brandt(
     points: Float[Tensor, "*#batch 3"],
@@ -193,13 +186,16 @@ class KannalaBrandtCamera(PlaneCamera):
         return widest_angle(with_leading_one(self.distortion))
 
 
-def _radial_start(model: FittedModel, samples: Samples) -> list[Tensor]:
-    """Kannala-Brandt: radius − θ = k1 θ³ + k2 θ⁵ + ... is linear."""
-    size = model.sizes["distortion"] or 0
+def radial_starts(model: FittedModel, samples: Samples) -> list[Tensor]:
+    """From radius − θ = k1 θ³ + k2 θ⁵ + ..., which is linear, and from no distortion; terms behind these are 0."""
+    size, angle = model.sizes["distortion"] or 0, samples.angle
+    powers = torch.stack([angle ** (2 * k + 3) for k in range(size)], dim=-1)
+    radial = solve_linear(powers, samples.radius - angle)
+    others = sum(size or 1 for size in model.sizes.values()) - 4 - size
     return [
-        torch.cat((samples.focal_length, samples.center, radial_solution(samples, size))),
-        *with_shapes(model, samples, [[0.0] * size]),
+        torch.cat((samples.focal_length, samples.center, radial, radial.new_zeros(others))),
+        *with_shapes(model, samples, [[0.0] * (size + others)]),
     ]
 
 
-fitted(KannalaBrandtCamera, _radial_start, num_coefficients=(4, 1, 2, 3, 5, 6, 7, 8, 9))
+fitted(KannalaBrandtCamera, radial_starts, num_coefficients=(4, 1, 2, 3, 5, 6, 7, 8, 9))

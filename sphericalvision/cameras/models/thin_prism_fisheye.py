@@ -21,10 +21,10 @@ from torch import Tensor, addcmul
 from sphericalvision.cameras.base import Projection, Unprojection
 from sphericalvision.cameras.checks import model_function
 from sphericalvision.cameras.declaration import Choice, ImageSize, Intrinsic, MaxAngle
-from sphericalvision.cameras.fitting import FittedModel, Samples, fitted, with_shapes
+from sphericalvision.cameras.fitting import fitted
 from sphericalvision.cameras.models.image_plane import PlaneCamera, pixels_from_plane, plane_from_pixels
 from sphericalvision.cameras.models.kannala_brandt import (
-    radial_solution,
+    radial_starts,
     tabulated,
     unproject_kannala_brandt,
     widest_angle,
@@ -237,15 +237,4 @@ class ThinPrismFisheyeCamera(PlaneCamera):
         return widest_angle(with_leading_one(self.distortion))
 
 
-def _starts(model: FittedModel, samples: Samples) -> list[Tensor]:
-    """Of a lens that is not tilted."""
-    size = model.sizes["distortion"] or 0
-    radial = radial_solution(samples, size)
-    flat = radial.new_zeros(6)
-    return [
-        torch.cat((samples.focal_length, samples.center, radial, flat)),
-        *with_shapes(model, samples, [[0.0] * (size + 6)]),
-    ]
-
-
-fitted(ThinPrismFisheyeCamera, _starts, num_coefficients=(4, 1, 2, 3, 5, 6, 7, 8, 9))
+fitted(ThinPrismFisheyeCamera, radial_starts, num_coefficients=(4, 1, 2, 3, 5, 6, 7, 8, 9))

@@ -20,13 +20,7 @@ from sphericalvision.cameras.checks import (
     checked_size,
 )
 from sphericalvision.cameras.declaration import DeclaredModel
-from sphericalvision.core import (
-    ArgumentError,
-    ArgumentTypeError,
-    ShapeError,
-    check_last_dim,
-    check_tensor,
-)
+from sphericalvision.core import ArgumentError, ArgumentTypeError, ShapeError, check_last_dim, check_tensor
 from sphericalvision.geometry.bilinear import bilinear_sample
 from sphericalvision.geometry.directions import components, moderate_lengths
 
@@ -336,10 +330,7 @@ class Camera(DeclaredModel):
     # What subclasses use -------------------------------------------------------------------------------------------
 
     def _on_pixels(
-        self: AnyCamera,
-        scale: tuple[float, float],
-        offset: tuple[float, float],
-        image_size: tuple[int, int],
+        self: AnyCamera, scale: tuple[float, float], offset: tuple[float, float], image_size: tuple[int, int]
     ) -> AnyCamera:
         """The camera whose pixels are ``scale * pixels + offset``; here for models with a principal point."""
         scaled, center = self._scaled(scale), vars(self).get("principal_point")

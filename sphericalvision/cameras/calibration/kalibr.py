@@ -24,10 +24,7 @@ from sphericalvision.cameras.calibration.contents import Contents, Gathered, Opt
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens, as_rig, lens_called, lens_of, models_of
-from sphericalvision.cameras.calibration.parsing import (
-    chosen_model,
-    numbers,
-)
+from sphericalvision.cameras.calibration.parsing import chosen_model, numbers
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import FileFormatError
 from sphericalvision.geometry import invert_transform

@@ -169,11 +169,7 @@ _DISTORTED = (
 
 
 def distorted(
-    kind: Any,
-    numbers: Sequence[float],
-    image_size: tuple[int, int],
-    where: str,
-    skew: float | None = None,
+    kind: Any, numbers: Sequence[float], image_size: tuple[int, int], where: str, skew: float | None = None
 ) -> Camera:
     """The camera of fx fy cx cy and coefficients, by the name of their model in any of its spellings.
 

@@ -30,12 +30,7 @@ from sphericalvision.cameras.calibration.contents import Contents, Gathered, Opt
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens
-from sphericalvision.cameras.calibration.parsing import (
-    chosen,
-    numbers,
-    size_from_width_height,
-    view_name,
-)
+from sphericalvision.cameras.calibration.parsing import chosen, numbers, size_from_width_height, view_name
 from sphericalvision.cameras.calibration.poses import transform_from_rotation, transform_from_rows
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.core import FileFormatError

@@ -24,18 +24,8 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options, warn_left_out
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
-from sphericalvision.cameras.calibration.lenses import (
-    PANORAMA,
-    Lens,
-    as_rig,
-    lens_called,
-    lens_of,
-    models_of,
-)
-from sphericalvision.cameras.calibration.parsing import (
-    focal_lengths,
-    view_name,
-)
+from sphericalvision.cameras.calibration.lenses import PANORAMA, Lens, as_rig, lens_called, lens_of, models_of
+from sphericalvision.cameras.calibration.parsing import view_name
 from sphericalvision.cameras.calibration.poses import OPENGL_FROM_OPENCV
 from sphericalvision.cameras.calibration.text_files import write_json
 from sphericalvision.cameras.rig import CameraRig
@@ -192,7 +182,7 @@ def _focal_lengths(values: Keys, width: int, height: int, is_fisheye: bool) -> l
                 )
     if not lengths:
         values.entry("fl_x")
-    return focal_lengths([lengths[0], lengths[-1]], values.where)
+    return [lengths[0], lengths[-1]]
 
 
 def write_nerfstudio(cameras: Camera | CameraRig, path: str | Path) -> None:

@@ -40,11 +40,7 @@ from sphericalvision.cameras.calibration.opencv_keys import (
     find,
     rotation,
 )
-from sphericalvision.cameras.calibration.parsing import (
-    camera_matrix,
-    errors_of_file,
-    size_from_width_height,
-)
+from sphericalvision.cameras.calibration.parsing import camera_matrix, errors_of_file, size_from_width_height
 from sphericalvision.cameras.calibration.poses import checked_rigid
 from sphericalvision.cameras.calibration.text_files import STRUCTURED, load
 from sphericalvision.cameras.registry import model_meant

@@ -39,11 +39,11 @@ def _angles(camera: Camera, pixels: Tensor) -> tuple[Tensor, Tensor]:
     return torch.atan2(directions[..., :2].norm(dim=-1), directions[..., 2]), valid
 
 
-def _border_pixels(image_size: tuple[int, int], samples: int = 128) -> Tensor:
+def _border_pixels(image_size: tuple[int, int]) -> Tensor:
     """Corners and other pixels of the outermost rows and columns, (n, 2)."""
     height, width = image_size
-    across = torch.linspace(0, width - 1, min(width, samples), dtype=torch.float64).round()
-    down = torch.linspace(0, height - 1, min(height, samples), dtype=torch.float64).round()
+    across = torch.linspace(0, width - 1, min(width, 128), dtype=torch.float64).round()
+    down = torch.linspace(0, height - 1, min(height, 128), dtype=torch.float64).round()
     rows = [torch.stack((across, torch.full_like(across, v)), -1) for v in (0, height - 1)]
     columns = [torch.stack((torch.full_like(down, u), down), -1) for u in (0, width - 1)]
     return torch.cat(rows + columns)

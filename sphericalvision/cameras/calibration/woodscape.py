@@ -44,10 +44,7 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     powers = range(1, values.count("poly_order", 20, default=4) + 1)
     coefficients = torch.tensor([values.number(f"k{power}") for power in powers], dtype=torch.float64)
     height, width = size = values.size("width", "height")
-    center = [
-        values.number("cx_offset") + width / 2 - 0.5,
-        values.number("cy_offset") + height / 2 - 0.5,
-    ]
+    center = [values.number("cx_offset") + width / 2 - 0.5, values.number("cy_offset") + height / 2 - 0.5]
     aspect = values.number("aspect_ratio", 1.0)
     with errors_of_file(values.where):
         camera = RadialPolynomialCamera(coefficients, center, aspect, size)

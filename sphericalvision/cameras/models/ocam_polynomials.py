@@ -106,12 +106,10 @@ def fit_inverse(angle: Float[Tensor, " n"], radius: Float[Tensor, " n"], degree:
     return torch.as_tensor(coefficients, dtype=radius.dtype, device=radius.device)
 
 
-def fit_direct(
-    angle: Float[Tensor, " n"], radius: Float[Tensor, " n"], tolerance: float = 1e-3
-) -> Float[Tensor, " k"]:
+def fit_direct(angle: Float[Tensor, " n"], radius: Float[Tensor, " n"]) -> Float[Tensor, " k"]:
     """Coefficients a0, 0, a2, ... of the direct polynomial f with ``tan(angle) = −radius / f(radius)``, (n,) each.
 
-    Of the smallest degree whose error in the image is within ``tolerance`` pixels, or the best up to 17.
+    Of the smallest degree whose error in the image is within a thousandth of a pixel, or the best up to 17.
     """
     # On the axis the tangent vanishes, and with it all that could be learned; a fitted radius may miss 0 there.
     off_axis = (radius > 1e-6 * radius.max()) & (angle > 1e-4)
@@ -129,6 +127,6 @@ def fit_direct(
         if error < least:
             scaled = solution / largest**power
             best, least = torch.cat((scaled[:1], scaled.new_zeros(1), scaled[1:])), error
-        if least <= tolerance:
+        if least <= 1e-3:
             break
     return best

@@ -182,8 +182,8 @@ def radius_limit(coefficients: Float[Tensor, "*batch k"]) -> Float[Tensor, "*bat
         return torch.where(before[..., -1] > 0, LARGEST_RADIUS, torch.tan(center * _STEP))
 
 
-def fold_radius(coefficients: Float[Tensor, "*batch k"], azimuths: int = 32) -> Float[Tensor, "*batch"]:
-    """The largest radius (*) at which the distortion is still one-to-one, over all azimuths; 10⁴ where it always is.
+def fold_radius(coefficients: Float[Tensor, "*batch k"]) -> Float[Tensor, "*batch"]:
+    """The largest radius (*) at which the distortion is still one-to-one, over 32 azimuths; 10⁴ where it always is.
 
     Without derivatives.
 
@@ -192,8 +192,8 @@ def fold_radius(coefficients: Float[Tensor, "*batch k"], azimuths: int = 32) -> 
         1.0
     """
     with torch.no_grad():
-        angles = torch.arange(azimuths, dtype=coefficients.dtype, device=coefficients.device)
-        azimuth = angles.unsqueeze(-1) * (2 * math.pi / azimuths)
+        angles = torch.arange(32, dtype=coefficients.dtype, device=coefficients.device)
+        azimuth = angles.unsqueeze(-1) * (2 * math.pi / len(angles))
         limit = torch.atan(radius_limit(coefficients))[..., None, None]
         coefficients = coefficients[..., None, None, :]
 
@@ -204,15 +204,12 @@ def fold_radius(coefficients: Float[Tensor, "*batch k"], azimuths: int = 32) -> 
             return torch.where(angle <= limit + 1e-6, slopes.determinant, -1.0)
 
         # By angle, not by radius: a search up to 10⁴ in equal steps of the radius would skip the image.
-        end = torch.full((*coefficients.shape[:-3], azimuths), math.atan(LARGEST_RADIUS)).to(azimuth)
+        end = torch.full((*coefficients.shape[:-3], len(angles)), math.atan(LARGEST_RADIUS)).to(azimuth)
         return torch.tan(increasing_limit(determinant, end, _SAMPLES)).amax(-1)
 
 
 def undistort(
-    u: Float[Tensor, "*batch"],
-    v: Float[Tensor, "*batch"],
-    coefficients: Float[Tensor, "*coefficients k"],
-    iterations: int | None = None,
+    u: Float[Tensor, "*batch"], v: Float[Tensor, "*batch"], coefficients: Float[Tensor, "*coefficients k"]
 ) -> Undistorted:
     """The plane's points (x, y) whose distorted places are (u, v), each (*): the inverse of ``distort``.
 
@@ -221,15 +218,14 @@ def undistort(
     and they carry exact first and second derivatives (implicit function theorem). Where no solution was found the last
     place is returned, without derivatives.
 
-    By default there are 10 steps, and 18 in float64: at a fold each step only halves what is missing.
+    There are 10 steps, and 18 in float64: at a fold each step only halves what is missing.
 
     Examples:
         >>> found = undistort(torch.tensor(0.45), torch.tensor(0.0), torch.tensor([-0.4, 0.0, 0.0, 0.0]))
         >>> round(found.x.item(), 5), found.converged.item()
         (0.5, True)
     """
-    if iterations is None:
-        iterations = 18 if u.dtype == torch.float64 else 10
+    iterations = 18 if u.dtype == torch.float64 else 10
     with torch.no_grad():
         limit = radius_limit(coefficients).square()
         start = _radial_start(u.detach(), v.detach(), coefficients.detach())  # also forward

@@ -367,13 +367,8 @@ def _pair(source: CameraRig, kind: str, image_size: tuple[int, int] | None) -> R
 def _ahead(right: Tensor, axes: Tensor) -> Tensor:
     """The unit vector across the baseline between the optical axes; across their downs where these lie along it."""
     forward, down = axes[:, :, 2], axes[:, :, 1]
-    downs = (down.sum(0), down[0])
-    for vector in (
-        forward.sum(0),
-        torch.linalg.cross(right, downs[0]),
-        forward[0],
-        torch.linalg.cross(right, downs[1]),
-    ):
+    around = [torch.linalg.cross(right, vector) for vector in (down.sum(0), down[0])]
+    for vector in (forward.sum(0), around[0], forward[0], around[1]):
         across = vector - (vector @ right) * right
         if float(across.detach().norm()) > 0.1:
             return normalize(across)

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import copy
 import json
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ import yaml
 from torch import Tensor
 
 from sphericalvision.cameras import Camera, read_cameras, read_rig
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, FileFormatError
 
 DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # ten times as fast, where libyaml is there
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -29,27 +30,6 @@ KEYED = tuple(
     name for name in TEXTS if name.endswith((".yaml", ".json", ".yml")) and not name.startswith("plain")
 )
 """Those of keys with values, as YAML or JSON."""
-WITHOUT_POSES = frozenset(
-    [
-        "DS.yml",
-        "atan.yaml",
-        "calibration_fisheye.json",
-        "cameras.txt",
-        "fisheye.yaml",
-        "image_02.yaml",
-        "kannala.yaml",
-        "lens.json",
-        "lens.txt",
-        "lens.xml",
-        "panorama.xml",
-        "pinhole.yaml",
-        "plain.xml",
-        "plain.yml",
-        "scaramuzza.yaml",
-        "stella.yaml",
-        "stella_perspective.yaml",
-    ]
-)
 
 
 def unit_of(path: Path) -> str | None:
@@ -75,6 +55,17 @@ def dump(path: Path, content: Any) -> Path:
     return path
 
 
+def at(content: Any, way: Iterable[str | int]) -> Any:
+    """What stands at the end of a way of keys and indices in parsed keys."""
+    return reduce(getitem, way, content)
+
+
+def put(content: Any, way: str, value: Any) -> None:
+    """Put a value into parsed keys, at the end of a way such as ``cam0/intrinsics/0``."""
+    *before, last = (int(key) if key.isdigit() else key for key in way.split("/"))
+    at(content, before)[last] = value
+
+
 def with_size(read: Callable[..., Any], path: Path, **known: Any) -> Any:
     """What ``read`` reads, with a size of the images only where the file does not tell one."""
     try:
@@ -86,10 +77,13 @@ def with_size(read: Callable[..., Any], path: Path, **known: Any) -> Any:
 
 
 def read_everything(path: Path) -> None:
-    """A sample as cameras and, where it has poses, as a rig."""
+    """A sample as cameras and, unless it has no poses, as a rig."""
     with_size(read_cameras, path, max_angle=1.0)
-    if path.name not in WITHOUT_POSES:
+    try:
         with_size(read_rig, path, max_angle=1.0, translation_unit=unit_of(path))
+    except FileFormatError as error:
+        if "without poses" not in str(error):
+            raise
 
 
 def double(*values: Any) -> list[Tensor]:
@@ -97,10 +91,10 @@ def double(*values: Any) -> list[Tensor]:
     return [torch.tensor(value, dtype=torch.float64) for value in values]
 
 
-def circle(angle: Tensor, azimuth: float = 0.7) -> Tensor:
+def circle(angle: Tensor, azimuth: float | Tensor = 0.7) -> Tensor:
     """Unit vectors (*, 3) at angles (*) from the axis."""
-    flat = angle.sin()
-    return torch.stack((flat * math.cos(azimuth), flat * math.sin(azimuth), angle.cos()), -1)
+    angle, azimuth = torch.broadcast_tensors(angle, torch.as_tensor(azimuth, dtype=angle.dtype))
+    return torch.stack((angle.sin() * azimuth.cos(), angle.sin() * azimuth.sin(), angle.cos()), -1)
 
 
 def directions(max_degrees: float = 60.0, rings: int = 7, spokes: int = 12) -> np.ndarray:

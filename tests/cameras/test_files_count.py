@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from sphericalvision.cameras import (
 )
 from sphericalvision.cameras.calibration.keys import with_keys
 from sphericalvision.core import FileFormatError
-from tests.cameras.calibration_samples import TEXTS, dump, sample
+from tests.cameras.calibration_samples import TEXTS, dump, put, sample
 from tests.cameras.test_format_rigs import VINS
 
 LENS = PinholeCamera([300.0, 300.0], [319.5, 239.5], (480, 640))
@@ -126,46 +125,32 @@ def test_numbers_of_calibrations_have_bounds(tmp_path: Path) -> None:
         read_camera(dump(tmp_path / "lens.txt", stretched))
 
 
-def _device(content: dict[str, Any]) -> None:
-    content["CameraCalibrations"][1]["Calibrated"] = False
-
-
-def _offsets(content: dict[str, Any]) -> None:
-    for number, camera in enumerate(content["CameraCalibrations"]):
-        camera["TimeOffsetSec_Device_Camera"] = 0.05 * number
-
-
-def _clocks(content: dict[str, Any]) -> None:
-    content["cam0"]["timeshift_cam_imu"], content["cam1"]["timeshift_cam_imu"] = 0.001, 0.051
-
-
-def _native_clocks(content: dict[str, Any]) -> None:
-    content["cameras"][0]["time_offset_ns"], content["cameras"][1]["time_offset_ns"] = 0, 30_000_000
-
-
 @pytest.mark.parametrize(
-    ("name", "change", "said"),
+    ("name", "changes", "said"),
     [
-        ("device.json", _device, "camera-rgb"),
+        ("device.json", {"CameraCalibrations/1/Calibrated": False}, "camera-rgb"),
         (
             "device.json",
-            _offsets,
+            {f"CameraCalibrations/{k}/TimeOffsetSec_Device_Camera": 0.05 * k for k in (0, 1)},
             r"CameraCalibrations\[\d\], TimeOffset.* s apart|s apart .*CameraCalibrations",
         ),
-        ("camchain.yaml", _clocks, r"0\.05 s apart .*cam0, timeshift_cam_imu, and .*cam1"),
-        ("rig.yaml", _native_clocks, "time_offset_ns"),
+        (
+            "camchain.yaml",
+            {"cam0/timeshift_cam_imu": 0.001, "cam1/timeshift_cam_imu": 0.051},
+            r"0\.05 s apart .*cam0, timeshift_cam_imu, and .*cam1",
+        ),
+        ("rig.yaml", {f"cameras/{k}/time_offset_ns": 30_000_000 * k for k in (0, 1)}, "time_offset_ns"),
     ],
 )
 def test_what_a_file_says_against_itself_is_told(
-    tmp_path: Path, name: str, change: Callable[[dict[str, Any]], None], said: str
+    tmp_path: Path, name: str, changes: dict[str, Any], said: str
 ) -> None:
     content = sample(name)
-    change(content)
+    for way, value in changes.items():
+        put(content, way, value)
     with pytest.warns(UserWarning, match=rf"{name}.*{said}"):
-        assert (
-            read_rig(dump(tmp_path / name, content)).names
-            == read_rig(dump(tmp_path / name, sample(name))).names
-        )
+        rig = read_rig(dump(tmp_path / name, content))
+    assert rig.names == read_rig(dump(tmp_path / name, sample(name))).names
 
 
 def test_an_empty_place_of_a_sensor_is_none(tmp_path: Path) -> None:

@@ -11,12 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from sphericalvision.cameras import (
-    BrownConradyCamera,
-    convert,
-    read_camera,
-    save_camera,
-)
+from sphericalvision.cameras import BrownConradyCamera, convert, read_camera, save_camera
 from sphericalvision.core import ArgumentError
 from tests.cameras.calibration_samples import (
     MATRIX,
@@ -62,16 +57,6 @@ def test_skew_is_opencvs_and_goes_through_all_that_cameras_do(tmp_path: Path, ki
         ArgumentError, match=r"the format 'kalibr' has no skew; write it as 'native' or 'opencv'"
     ):
         save_camera(camera, tmp_path / "kalibr.yaml", "kalibr")
-
-
-@pytest.mark.parametrize(
-    "spelling", [("cameraMatrix", "dist_coeffs"), ("Camera_Matrix", "distCoeffs"), ("K", "D")]
-)
-def test_keys_are_known_in_the_spellings_of_the_samples(tmp_path: Path, spelling: tuple[str, str]) -> None:
-    values = {spelling[0]: MATRIX, spelling[1]: PLAIN}
-    camera = read_camera(write(tmp_path / "camera.yaml", cameraResolution=[320, 240], **values))
-    assert type(camera) is BrownConradyCamera
-    assert camera.image_size == (240, 320)
 
 
 def test_image_size_can_be_given_where_the_file_does_not_tell(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from tests.cameras.calibration_samples import TEXTS, dump, dumped, sample
+from tests.cameras.calibration_samples import TEXTS, dump, dumped, put, sample
 from tests.cameras.test_understood import read
 
 OCAM = TEXTS["lens.txt"]
@@ -213,11 +213,8 @@ def said(tmp_path: Path, name: str, text: str) -> str:
     ("name", "way", "value", "message"), [(f, *row) for f in VALUES for row in VALUES[f]]
 )
 def test_a_wrong_value_is_named(tmp_path: Path, name: str, way: str, value: Any, message: str) -> None:
-    content: Any = sample(name)
-    inner, *keys = content, *(int(key) if key.isdigit() else key for key in way.split("/"))
-    for key in keys[:-1]:
-        inner = inner[key]
-    inner[keys[-1]] = value
+    content = sample(name)
+    put(content, way, value)
     assert message in said(tmp_path, name, dumped(content, name))
 
 

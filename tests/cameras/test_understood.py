@@ -17,7 +17,7 @@ import yaml
 
 from sphericalvision.cameras import BrownConradyCamera, Camera, CameraRig, read_camera, read_cameras, read_rig
 from sphericalvision.core import FileFormatError, SphericalVisionError
-from tests.cameras.calibration_samples import KEYED, TEXTS, dump, dumped, sample, unit_of, with_size
+from tests.cameras.calibration_samples import KEYED, TEXTS, at, dump, dumped, sample, unit_of, with_size
 from tests.cameras.test_damaged_files import places
 
 Found = dict[str, Any] | str
@@ -72,17 +72,13 @@ def damages(content: Any) -> Iterator[tuple[str, str, str, Any]]:
         words = [("removed", ""), ("misspelt", f"{last}s"), ("misspelt", last[:middle] + last[middle + 1 :])]
         for junk in JUNK:
             damaged = copy.deepcopy(content)
-            inner = damaged
-            for step in way:
-                inner = inner[step]
+            inner = at(damaged, way)
             is_list = isinstance(inner[last], list) and any(isinstance(x, float) for x in inner[last][:1])
             inner[last] = [junk, *inner[last][1:]] if junk is None and is_list else junk
             yield "junk", last, "", damaged
         for kind, key in [*words, ("neighbour", f"{last}2"), ("neighbour", f"{last}_new")]:
-            damaged: Any = copy.deepcopy(content)
-            inner = damaged
-            for step in way:
-                inner = inner[step]
+            damaged = copy.deepcopy(content)
+            inner = at(damaged, way)
             if key in inner or (kind == "misspelt" and not key):
                 continue
             value = inner[last] if kind == "neighbour" else inner.pop(last)
@@ -229,10 +225,15 @@ ROS = {"image_width": 960, "image_height": 720, "camera_matrix": K, "distortion_
 
 
 @pytest.mark.parametrize(
-    "key", ["dist_coeff", "distortion", "distortion_vector", "kc", "Distortion_Params", "dist_coefs"]
-)
-def test_distortion_is_read_under_all_its_names(tmp_path: Path, key: str) -> None:
-    camera = read_camera(dump(tmp_path / "camera.yaml", {"K": K, key: [FIVE]}), image_size=(720, 960))
+    ("matrix", "key"),
+    [
+        ("cameraMatrix", "dist_coeffs"), ("Camera_Matrix", "distCoeffs"), ("K", "D"), ("K", "dist_coeff"), ("M", "kc"),
+        ("K", "distortion"), ("K", "distortion_vector"), ("K", "Distortion_Params"), ("K", "dist_coefs"),
+    ],
+)  # fmt: skip
+def test_a_lens_is_read_under_all_names_of_its_keys(tmp_path: Path, matrix: str, key: str) -> None:
+    content = {matrix: K, key: [FIVE], "cameraResolution": [960, 720]}
+    camera = read_camera(dump(tmp_path / "camera.yaml", content))
     same_lens = BrownConradyCamera([905.0, 911.0], [498.0, 402.0], FIVE, (720, 960), float(camera.max_angle))
     assert camera.equals(same_lens)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What confidences are worth: ``docs/data/reliability.json``, and the table of the sweep in the guide.
+"""What confidences are worth: ``docs/data/reliability.json``, and ``sweep.json`` of the sweep without training.
 
 Run from the root of the repository: ``python docs/confidence.py``, four minutes.
 """
@@ -13,9 +13,12 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from edges import MIN_DEPTH, NUM_HYPOTHESES
+from figures.tables import write
 from sphericalvision.cameras import ring_rig
 from sphericalvision.capture import Predictor
 from sphericalvision.metrics.spread import error_of_surest
+from sphericalvision.recipes.evaluation.tables import Row, Table
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from sphericalvision.sweep import index_from_inverse_depth
 
@@ -25,7 +28,6 @@ KINDS = (
     *("glazed", "terrain", "ruins", "plain", "lit"),
 )
 SEEDS = range(2_900_000, 2_900_004)
-NUM_HYPOTHESES, MIN_DEPTH = 16, 0.55
 BOUNDS = (0, 0.2, 0.4, 0.6, 0.8, 0.9, 1)
 FEWEST = 200
 """Points, of fewer of which no mean is given."""
@@ -76,22 +78,26 @@ def reliability(predictor: Predictor) -> dict[str, dict[str, object]]:
     return kinds
 
 
-def of_sweep(predictor: Predictor) -> str:
-    """Share of points, and of those with an error below one hypothesis, by confidence, as Markdown."""
+def of_sweep(predictor: Predictor) -> Table:
+    """Share of points, and of those with an error below one hypothesis, by confidence."""
     pairs = [measured(predictor, kind) for kind in ("room", "floating")]
     error, confidence = (torch.cat(values) for values in zip(*pairs, strict=True))
-    lines = ["| confidence | points | error below 1 |", "|---|---:|---:|"]
+    rows: list[Row] = []
     for (low, high), mask in zip(pairwise(BOUNDS), bins(confidence), strict=True):
         right, said = (error[mask] < 1).float().mean(), confidence[mask].mean()
-        cells = f"{mask.float().mean():.0%} | {right:.0%} (said {said:.0%})"
-        lines.append(f"| {low:.1f} to {high:.1f} | {cells} |")
-    return "\n".join(lines)
+        points, right = (
+            f"{mask.float().mean():.0%}",
+            f"{right:.0%} (said {said:.0%})",
+        )
+        rows.append([f"{low:.1f} to {high:.1f}", points, right])
+    return Table("", ("confidence", "points", "error below 1"), rows)
 
 
 if __name__ == "__main__":
     torch.set_grad_enabled(False)
     rig = ring_rig(4, image_size=(256, 256))
-    print(of_sweep(Predictor(rig, method="semi_global", min_depth=MIN_DEPTH)))
+    sweep = Predictor(rig, method="semi_global", min_depth=MIN_DEPTH)
+    write("sweep", {"confidence": of_sweep(sweep)})
     kinds = reliability(Predictor(rig, min_depth=MIN_DEPTH))
     rows = (f' "{kind}": {json.dumps(row)}' for kind, row in kinds.items())
     FILE.write_text("{\n" + ",\n".join(rows) + "\n}\n")

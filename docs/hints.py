@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a hint is worth, what a wrong one costs, and how steady the last frame makes the next: tables of the guide.
+"""What a hint is worth, what a wrong one costs, and how steady the last frame makes the next: ``docs/data/hints.json``.
 
 Run from the root of the repository: ``python docs/hints.py``, a few minutes;
-``python docs/hints.py some.safetensors 5`` for other weights and another level of the images.
+``python docs/hints.py some.safetensors`` for other weights.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
+from edges import MIN_DEPTH, index_of
+from figures.tables import write
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import Depth, Hint, Predictor
 from sphericalvision.icosphere import (
@@ -22,24 +24,18 @@ from sphericalvision.icosphere import (
     icosphere_upsample,
     num_icosphere_vertices,
 )
+from sphericalvision.recipes.evaluation.tables import Row, Table
 from sphericalvision.scenes import World, make_scene, ray_depth, render_rig
-from sphericalvision.sweep import DepthHint, index_from_inverse_depth
+from sphericalvision.sweep import DepthHint
 
-KINDS, SEEDS, PIXELS = ("plain", "polished", "room"), (2_900_000, 2_900_001), 240
-NUM_HYPOTHESES, MIN_DEPTH = 16, 0.55
+KINDS, SEEDS = ("plain", "polished", "room"), (2_900_000, 2_900_001)
+LEVEL, PIXELS = 6, 240
 NARROW = 2.0
 """Field of view, radians, of which four around see two thirds of the directions alone."""
 FRAMES, STEP, NOISE = 8, 0.05, 0.03
 """Of a drive: images, metres between them, and the deviation of their noise."""
 STATIC = 0.1
 """Hypotheses: deviation over time of the truth, below which a direction is static."""
-
-
-def index_of(inverse_depth: Tensor) -> Tensor:
-    """Index of what is no nearer than the nearest hypothesis."""
-    return index_from_inverse_depth(inverse_depth, NUM_HYPOTHESES, MIN_DEPTH).clamp(
-        0, NUM_HYPOTHESES - 1
-    )
 
 
 def noise(level: int, relative: float, generator: torch.Generator) -> Tensor:
@@ -84,7 +80,7 @@ def hints(
     )
 
 
-def of_hints(weights: str, level: int) -> str:
+def of_hints(weights: str) -> Table:
     """Mean error in hypotheses of what two cameras see, and of what one of narrow cameras sees alone."""
     errors = defaultdict(list)
     for field_of_view in (None, NARROW):
@@ -93,7 +89,7 @@ def of_hints(weights: str, level: int) -> str:
             rig = ring_rig(
                 4, image_size=(PIXELS, PIXELS), field_of_view=field_of_view
             )
-        predictor = Predictor(rig, weights, level=level, min_depth=MIN_DEPTH)
+        predictor = Predictor(rig, weights, level=LEVEL, min_depth=MIN_DEPTH)
         views = predictor.pipeline.intake.seen.sum(0)
         directions = predictor.network.grid.directions
         for kind in KINDS:
@@ -107,7 +103,7 @@ def of_hints(weights: str, level: int) -> str:
             ):
                 images = render_rig(scene, rig, 1)
                 near = truth[0] > 1 / MIN_DEPTH
-                for row, hint in hints(truth, other, level):
+                for row, hint in hints(truth, other, LEVEL):
                     answers = {row: predictor(images, hint).inverse_depth}
                     if hint is not None and row == "5 % off":
                         answers["the same hint alone"] = hint.inverse_depth[0]
@@ -122,10 +118,7 @@ def of_hints(weights: str, level: int) -> str:
                                 off[(views == 1) & ~near].mean()
                             )
     columns = (*KINDS, "one camera")
-    lines = [
-        "| hint | " + " | ".join(columns) + " |",
-        "|---|" + "---:|" * len(columns),
-    ]
+    rows: list[Row] = []
     base = {
         column: float(torch.stack(errors["none", column]).mean())
         for column in columns
@@ -139,8 +132,8 @@ def of_hints(weights: str, level: int) -> str:
             f"{means[column]:.2f} ({100 * (means[column] / base[column] - 1):+.0f} %)"
             for column in columns
         ]
-        lines.append(f"| {row} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        rows.append([row, *cells])
+    return Table("", ("hint", *columns), rows)
 
 
 def drive(
@@ -189,27 +182,29 @@ def of_drive(predictor: Predictor, scene: World) -> list[list[float]]:
     ]
 
 
-def of_drives(weights: str, level: int) -> str:
+def of_drives(weights: str) -> Table:
     """Flicker, the deviation over time of static directions, and the mean error of all, in hypotheses."""
-    lines = [
-        "| scene | flicker | with the last frame | error | with the last frame |",
-        "|---|---:|---:|---:|---:|",
-    ]
+    rows: list[Row] = []
     for kind in KINDS:
         rig = ring_rig(4, image_size=(PIXELS, PIXELS))
-        predictor = Predictor(rig, weights, level=level, min_depth=MIN_DEPTH)
+        predictor = Predictor(rig, weights, level=LEVEL, min_depth=MIN_DEPTH)
         drives = [of_drive(predictor, make_scene(kind, seed)) for seed in SEEDS]
         flicker, error = torch.tensor(drives).mean(0).tolist()
-        lines.append(
-            f"| {kind} | {flicker[0]:.3f} | {flicker[1]:.3f} ({100 * (flicker[1] / flicker[0] - 1):+.0f} %) "
-            f"| {error[0]:.2f} | {error[1]:.2f} ({100 * (error[1] / error[0] - 1):+.0f} %) |"
+        rows.append(
+            [
+                kind,
+                f"{flicker[0]:.3f}",
+                f"{flicker[1]:.3f} ({100 * (flicker[1] / flicker[0] - 1):+.0f} %)",
+                f"{error[0]:.2f}",
+                f"{error[1]:.2f} ({100 * (error[1] / error[0] - 1):+.0f} %)",
+            ]
         )
-    return "\n".join(lines)
+    average = "with the last frame"
+    return Table("", ("scene", "flicker", average, "error", average), rows)
 
 
 if __name__ == "__main__":
     torch.set_grad_enabled(False)
     warnings.simplefilter("ignore")  # hints of another scene are told
     weights = sys.argv[1] if len(sys.argv) > 1 else "refinedsweepnet"
-    level = int(sys.argv[2]) if len(sys.argv) > 2 else 5
-    print(of_drives(weights, level), of_hints(weights, level), sep="\n\n")
+    write("hints", {"drives": of_drives(weights), "hints": of_hints(weights)})

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +27,23 @@ def read(name: str) -> dict[str, Any]:
     return json.loads((PAGES / "data" / f"{name}.json").read_text())
 
 
+def write(name: str, tables: Mapping[str, Table]) -> None:
+    """Write tables, by heading, to a file of ``docs/data``, as the benchmark writes its ``tables.json``; print them."""
+    lines = [
+        f"{json.dumps(heading)}: {json.dumps(table._asdict())}"
+        for heading, table in tables.items()
+    ]
+    file = PAGES / "data" / f"{name}.json"
+    file.write_text("{\n" + ",\n".join(lines) + "\n}\n")
+    for table in tables.values():
+        table.print()
+
+
 def markdown(name: str, heading: str) -> str:
-    """A table of ``tables.json`` of the benchmark or a study, its title above it."""
+    """A table of the benchmark, a study or what ``write`` wrote, its title above it."""
     table = Table.of(read(name)[heading])
-    return f"{table.title}\n\n{table._replace(title='').markdown()}"
+    rows = table._replace(title="").markdown()
+    return f"{table.title}\n\n{rows}" if table.title else rows
 
 
 def rest_of_benchmark() -> str:

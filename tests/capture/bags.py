@@ -22,6 +22,7 @@ def write_bag(
     messages: Iterable[tuple[str, int, int, Any]],
     storage: str = "mcap",
     size: tuple[int, int] | None = None,
+    has_others: bool = False,
     **values: Any,
 ) -> Path:
     """Write a bag.
@@ -32,6 +33,7 @@ def write_bag(
             a compressed one where ``format`` is among them.
         storage: ``"mcap"``, ``"db3"``, or ``"bag"`` of ROS 1.
         size: height and width that all messages state.
+        has_others: there is a topic of a type whose definition nobody can read, too.
         values: fields of all messages.
     """
     is_ros1 = storage == "bag"
@@ -43,6 +45,9 @@ def write_bag(
         writer = rosbag2.Writer(path, version=9, storage_plugin=plugin)
     connections: dict[str, Any] = {}
     with writer:
+        if has_others:
+            digest = {"md5sum": "0" * 32} if is_ros1 else {"rihs01": f"RIHS01_{0:064}"}
+            writer.add_connection("/state", "driver_msgs/msg/State", msgdef="no ] definition", **digest)
         for topic, stamp, received, content in messages:
             fields = dict(content) if isinstance(content, Mapping) else raw_fields(content)
             fields |= {} if size is None else {"height": size[0], "width": size[1]}

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import shutil
 import warnings
 from pathlib import Path
@@ -49,9 +50,12 @@ def first_image(path: Path, rig: CameraRig = RIG, **keys: Any) -> np.ndarray:
 @pytest.mark.parametrize("storage", ["mcap", "db3", "bag"])
 def test_a_bag_is_read_by_its_folder_and_by_its_file(tmp_path: Path, storage: str) -> None:
     path = tmp_path / ("run.bag" if storage == "bag" else "run")
-    of_topics(path, {f"/{name}/image_raw": PICTURE for name in RIG.names}, storage=storage)
+    topics = {f"/{name}/image_raw": PICTURE for name in RIG.names}
+    of_topics(path, topics, storage=storage, has_others=True)
     paths = [path] if storage == "bag" else [path, next(path.glob(f"*.{storage}"))]
-    if storage != "bag":
+    if storage == "bag":
+        paths.append(shutil.copy(path, tmp_path / "other.bag.active"))  # its recorder was ended
+    else:
         paths.append(shutil.copy(paths[1], tmp_path / f"alone.{storage}"))  # without metadata.yaml
     for images in paths:
         source = open_source(str(images), RIG)
@@ -330,8 +334,12 @@ def test_what_is_no_bag_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     path = of_topics(tmp_path / "run", {f"/{name}/image": PICTURE for name in RIG.names})
     with pytest.raises(ArgumentError, match="frames"):
         open_source(str(path), RIG, frames=[1])
-    with pytest.raises(MissingFileError, match=r"missing\.mcap"):
-        open_source(str(tmp_path / "missing.mcap"), RIG)
+    for missing in ("missing.mcap", "{camera}.bag"):
+        with pytest.raises(MissingFileError, match=f"{re.escape(missing)}.*rosbags-convert"):
+            open_source(str(tmp_path / missing), RIG)
+    deep = of_topics(tmp_path / "deep", {"/cam1/image": raw_fields(np.dstack([DEEP] * 3), "16UC3")})
+    with pytest.raises(ArgumentError, match=r"/cam1/image .*16UC3"):
+        open_source(str(deep), RIG)
     for name in ("empty.bag", "empty.mcap", "empty.db3"):
         (tmp_path / name).touch()
         with pytest.raises(FileFormatError, match=name):

@@ -30,7 +30,9 @@ from sphericalvision.core import (
 from sphericalvision.io.images import decode_image
 from sphericalvision.io.times import SAME_TIME
 
-SUFFIXES = (".bag", ".mcap", ".db3")
+SUFFIXES = (".bag", ".mcap", ".db3", ".bag.active", ".mcap.zstd", ".db3.zstd")
+"""Of recordings, of one that was not ended, and of compressed files."""
+JOIN = "rosbags-convert --src ONE OTHER --dst JOINED"
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CHANNELS = {
     "mono8": 1,
@@ -72,12 +74,13 @@ def bag_of(path: Path) -> Path | None:
         FileFormatError: a pipe or a device is in the folder.
         ArgumentError: rosbags is not installed.
     """
-    suffix, is_folder = path.suffix.lower(), (path / "metadata.yaml").is_file()
-    if suffix not in SUFFIXES and not is_folder:
+    is_folder = (path / "metadata.yaml").is_file()
+    if not path.name.lower().endswith(SUFFIXES) and not is_folder:
         return None
     if not is_folder and not path.is_file():
         raise MissingFileError(
-            f"images: {path}: expected a bag of ROS 1 or 2, a file or a folder with metadata.yaml"
+            f"images: {path}: no such bag of ROS 1 or 2, a file or a folder with metadata.yaml. One bag has the topics "
+            f"of all cameras: {JOIN} makes one of several"
         )
     pipes = [file for file in path.iterdir() if not (file.is_file() or file.is_dir())] if is_folder else []
     if pipes:  # rosbags opens what metadata.yaml names, and waits
@@ -86,7 +89,7 @@ def bag_of(path: Path) -> Path | None:
         )
     if find_spec("rosbags") is None:
         raise ArgumentError(f"images: {path} is a bag, which rosbags reads: pip install rosbags")
-    is_part = suffix != ".bag" and not is_folder and (path.parent / "metadata.yaml").is_file()
+    is_part = ".bag" not in path.suffixes and not is_folder and (path.parent / "metadata.yaml").is_file()
     return path.parent if is_part else path
 
 
@@ -116,7 +119,13 @@ class Bag(Recording):
         tolerance: float = SAME_TIME,
         topics: Mapping[str, str] | None = None,
     ) -> None:
+        from rosbags.typesys import Stores, get_typestore
+
         self.path = path
+        self._is_ros1 = ".bag" in path.suffixes
+        # Not the definitions in the bag, of which one of another topic that is damaged would end the reading.
+        types = get_typestore(Stores.ROS1_NOETIC if self._is_ros1 else Stores.LATEST)
+        self._deserialize = types.deserialize_ros1 if self._is_ros1 else types.deserialize_cdr
         faults: Counter[tuple[str, str]] = Counter()
         with self._reader() as reader:
             self.topics = _topics(self._pictured(reader), whole.names, rig.names, topics or {}, path)
@@ -156,11 +165,10 @@ class Bag(Recording):
 
     @contextmanager
     def _reader(self) -> Iterator[Any]:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
+        from rosbags import rosbag1, rosbag2
 
         with self._own_words():
-            reader = AnyReader([self.path], default_typestore=get_typestore(Stores.LATEST))
+            reader = rosbag1.Reader(self.path) if self._is_ros1 else rosbag2.Reader(self.path)
             reader.open()
         try:
             yield reader
@@ -182,35 +190,32 @@ class Bag(Recording):
 
     def _pictured(self, reader: Any) -> dict[str, int]:
         """Topics whose first message is a picture: no depth, which is an image message, too; and their messages."""
-        topics: dict[str, list[Any]] = {}
+        topics: dict[tuple[str, str], list[Any]] = {}
         for connection in reader.connections:
-            if connection.msgtype in (IMAGE, COMPRESSED):
-                topics.setdefault(connection.topic, []).append(connection)
-        pictured = {}
-        for topic, connections in topics.items():
-            with self._own_words():
-                messages = (message for _, _, message in self._messages(reader, connections))
-                first = next((message for message in messages if message is not None), None)
-            if first is not None and not DEPTH.match(
-                getattr(first, "encoding", getattr(first, "format", ""))
-            ):
-                pictured[topic] = sum(connection.msgcount for connection in connections)
+            topics.setdefault((connection.topic, connection.msgtype), []).append(connection)
+        pictured, others = {}, []
+        for (topic, kind), connections in sorted(topics.items()):
+            encoding = ""
+            if kind in (IMAGE, COMPRESSED):
+                with self._own_words():
+                    messages = (message for _, _, message in self._messages(reader, connections))
+                    first = next((message for message in messages if message is not None), None)
+                encoding = getattr(first, "encoding", getattr(first, "format", "no message can be read"))
+                if first is not None and not DEPTH.match(encoding):
+                    pictured[topic] = sum(connection.msgcount for connection in connections)
+            others.append(f"{topic} ({kind}{encoding and ': '}{encoding})")
         if not pictured:
-            types = sorted(
-                {f"{connection.topic} ({connection.msgtype})" for connection in reader.connections}
-            )
             raise ArgumentError(
                 f"images: {self.path}: expected topics of {IMAGE} or {COMPRESSED} with pictures, got "
-                f"{', '.join(types)[:300] or 'none'}; decode videos to images first"
+                f"{', '.join(others)[:300] or 'none'}; decode videos, or convert encodings, to such images first"
             )
         return pictured
 
-    @staticmethod
-    def _messages(reader: Any, connections: Sequence[Any]) -> Iterator[tuple[str, int, Any]]:
+    def _messages(self, reader: Any, connections: Sequence[Any]) -> Iterator[tuple[str, int, Any]]:
         """Topic, time and content of messages; None of a damaged one, for which rosbags raises errors of many types."""
         for connection, time, data in reader.messages(connections=connections):
             try:
-                yield connection.topic, time, reader.deserialize(data, connection.msgtype)
+                yield connection.topic, time, self._deserialize(data, connection.msgtype)
             except Exception:
                 yield connection.topic, time, None
 
@@ -276,7 +281,7 @@ class Bag(Recording):
             connections = [connection for connection in reader.connections if connection.topic == topic]
             messages = reader.messages(connections=connections, start=message.time, stop=message.time + 1)
             connection, _, data = next(islice(messages, message.number, None))
-            content = reader.deserialize(data, connection.msgtype)
+            content = self._deserialize(data, connection.msgtype)
         return _picture_of(content, f"{self.path}: {topic}")
 
 
@@ -413,7 +418,8 @@ def _picture_of(message: Any, where: str) -> Picture:
     channels = 1 if is_mosaic else CHANNELS.get(message.encoding)
     if channels is None:
         raise FileFormatError(
-            f"{where}: expected the encoding {', '.join(CHANNELS)} or a bayer_rggb8, got {message.encoding!r}"
+            f"{where}: expected the encoding {', '.join(CHANNELS)} or a bayer_rggb8, got {message.encoding!r}; convert "
+            "it first, as image_proc does"
         )
     dtype: np.dtype[Any] = np.dtype(np.uint8)
     if message.encoding == "mono16":

@@ -13,8 +13,8 @@ import torch
 
 from sphericalvision.cameras import CameraRig, PinholeCamera
 from sphericalvision.cameras.calibration.parsing import errors_of_file
+from sphericalvision.capture.sources.bags import JOIN, Bag, bag_of
 from sphericalvision.capture.sources.bags import SUFFIXES as BAG_SUFFIXES
-from sphericalvision.capture.sources.bags import Bag, bag_of
 from sphericalvision.capture.sources.frames import Source
 from sphericalvision.capture.sources.image_files import IMAGE_SUFFIXES, ImageFiles
 from sphericalvision.capture.sources.joined_views import split_views
@@ -63,7 +63,7 @@ class _Opening:
         path = Path(images).expanduser()
         is_video = path.suffix.lower() in VIDEO_SUFFIXES
         is_live, is_pattern = images.startswith("live:"), "{" in images
-        bag = None if is_live or is_video or is_pattern else bag_of(path)
+        bag = None if is_live or is_video else bag_of(path)
         if self.frames is not None and (is_live or is_video or bag is not None):
             raise ArgumentError(
                 "frames: of videos, bags and live cameras choose frames with start=, stop= and every="
@@ -212,9 +212,9 @@ def _of_files(folder: Path, files: Iterable[Path], opening: _Opening) -> Source 
     if len(patterns) > 1:
         raise ArgumentError(
             f"images: {folder} holds several kinds of files that may be meant: {', '.join(patterns[:4])}; name one of "
-            f"them, such as images='{patterns[0]}'"
+            f"them, such as images='{patterns[0]}'{f', or make one bag of them: {JOIN}' * bool(bags)}"
         )
-    return opening.source(patterns[0]) if patterns else None
+    return patterns[0] if patterns else None
 
 
 def _layouts(folder: Path, suffix: str, opening: _Opening) -> list[str]:

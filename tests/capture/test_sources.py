@@ -397,6 +397,9 @@ CANDIDATES = {  # what lies in a folder, and what of it is meant; None where tha
     "images and their depth": (["{camera}/1.png", "{camera}/1_depth.png"], None),
     "images and thumbnails": (["{camera}/1.png", "{camera}/thumb_1.png"], None),
     "images and depth of times": (["{camera}/1700000000.1.png", "{camera}/depth-1700000000.1.png"], None),
+    "numbers with and without zeros": (["{camera}/1.png", "{camera}/001.png"], None),
+    "one camera's other pictures": (["{camera}/1.jpg", "cam1/1.png"], ".jpg"),
+    "another way to write a suffix": (["{camera}/1.jpg", "cam1/2.JPG"], ".jpg"),
     "pictures next to folders of them": (["{camera}/1.png", "{camera}_1.png"], None),
     "two videos": (["a.mp4", "b.mp4"], None),
     "a video and pictures of it": (["{camera}.mp4", "{camera}/1.png"], None),
@@ -418,7 +421,7 @@ def test_of_two_candidates_none_is_taken_by_the_alphabet(
             path = tmp_path / name.format(camera=camera)
             path.parent.mkdir(parents=True, exist_ok=True)
             joined = np.concatenate([picture(1)] * (1 if camera else 3), 1)
-            if path.suffix in (".png", ".jpg", ".insp"):
+            if path.suffix in (".png", ".jpg", ".JPG", ".insp"):
                 path.write_bytes(
                     cv2.imencode(".png" if path.suffix == ".png" else ".jpg", joined)[1].tobytes()
                 )
@@ -447,6 +450,7 @@ def test_of_two_candidates_none_is_taken_by_the_alphabet(
         (("1", "1 (1)"), True),
         (("1", "1@2"), True),
         (("a_1", "b_1"), True),
+        (("1", "latest"), True),
         (("a_1", "a_2"), False),
         (("1.5", "-1.5"), False),
         (("12", "12.5"), False),
@@ -462,6 +466,28 @@ def test_names_that_may_be_two_kinds_of_files_are_asked_about(
     assert [all(name in sentence for name in names) for sentence in told] == [True] * is_doubtful
     frames = list(names)
     assert not opened(images, frames=frames)[1]  # who names frames has chosen
+
+
+@pytest.mark.parametrize(
+    ("digits", "expected"), [("01d", ["1", "2"]), ("03d", ["001"]), ("02d", ["001", "1", "2"])]
+)
+def test_a_width_chooses_between_numbers_with_and_without_zeros(
+    tmp_path: Path, digits: str, expected: list[str]
+) -> None:
+    images = as_files_named(tmp_path, ["1", "2", "001"]).replace("{frame", f"{{frame:{digits}")
+    if len(expected) == 3:  # none is of this width
+        with pytest.raises(ArgumentError, match="several kinds"):
+            open_source(images, RIG)
+    else:
+        assert opened(images)[0].names(Selection()) == expected
+
+
+def test_a_link_to_nothing_is_a_frame_that_cannot_be_read(tmp_path: Path) -> None:
+    images = as_files_named(tmp_path, ["1", "2"])
+    (tmp_path / "cam1/2.png").unlink()
+    (tmp_path / "cam1/2.png").symlink_to("nowhere.png")
+    frames = list(open_source(images, RIG).frames(Selection(), lambda _: True))
+    assert ["2.png" in str(frame.error) for frame in frames] == [False, True]
 
 
 @pytest.mark.parametrize(
@@ -488,17 +514,21 @@ def test_videos_that_say_themselves_that_they_begin_apart_are_told(
     assert ["2 s apart" in sentence for sentence in told] == [True] * is_told
 
 
-@pytest.mark.parametrize(("missed", "is_told"), [(4, True), (None, False)])
+@pytest.mark.parametrize(
+    ("missed", "interval", "is_told"), [(4, 60, True), (None, 60, False), (4, 0.5, True), (None, 0.5, False)]
+)
 def test_a_picture_that_one_camera_missed_is_told_by_exif(
-    tmp_path: Path, missed: int | None, is_told: bool
+    tmp_path: Path, missed: int | None, interval: float, is_told: bool
 ) -> None:
     for camera in RIG.names:
         (tmp_path / camera).mkdir()
         taken = [moment for moment in range(12) if camera != "cam2" or moment != missed]
         for number, moment in enumerate(taken):
             exif = Image.Exif()
-            clock = 7 if camera == "cam3" else 0
-            exif.get_ifd(0x8769)[0x9003] = f"2024:05:01 10:{moment:02d}:{clock:02d}"
+            minutes, clock = divmod(moment * interval + 7 * (camera == "cam3"), 60)
+            exif.get_ifd(0x8769)[0x9003] = f"2024:05:01 10:{minutes:02.0f}:{int(clock):02d}"
+            if clock % 1:
+                exif.get_ifd(0x8769)[0x9291] = "5"
             Image.fromarray(picture(1)).save(tmp_path / camera / f"{number}.jpg", exif=exif)
     _, told = opened(f"{tmp_path}/{{camera}}/{{frame}}.jpg")
     assert any("by EXIF those of cam2" in sentence for sentence in told) == is_told

@@ -174,12 +174,25 @@ def _of_folder(folder: Path, opening: _Opening) -> Source:
     previews = {file for file in files if _is_preview(file)}
     recordings = set(files) - previews
     for group, others in ((recordings, previews), (previews, recordings)):
-        source = _of_files(folder, group, replace(opening, leave_out=[*opening.leave_out, *others]))
-        if source is None:
+        grouped = replace(opening, leave_out=[*opening.leave_out, *others])
+        pattern = _of_files(folder, group, grouped)
+        if pattern is None:
             continue
-        if previews and group is recordings:
-            names = ", ".join(sorted(file.name for file in previews)[:4])
-            warnings.warn(f"images: {folder}: previews are left out ({names})", stacklevel=3)
+        source, suffix = grouped.source(pattern), Path(pattern).suffix
+        folders = {file.parent for file in group if file.suffix == suffix}
+        rest = [
+            str(file.relative_to(folder))
+            for file in sorted(files)
+            if file.parent in folders
+            and file.suffix.lower() in (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES)
+            and (file.suffix != suffix or file not in group)
+        ]
+        if rest:
+            warnings.warn(
+                f"images: {folder}: {suffix} is taken, and {len(rest)} previews or other files are left out "
+                f"({', '.join(rest[:4])})",
+                stacklevel=3,
+            )
         return source
     examples = {file.suffix: str(file.relative_to(folder)) for file in sorted(files, reverse=True)}.values()
     raise MissingFileError(
@@ -197,8 +210,8 @@ def _is_preview(file: Path) -> bool:
     )
 
 
-def _of_files(folder: Path, files: Iterable[Path], opening: _Opening) -> Source | None:
-    """The source of the one kind of files of which every camera has some; None without one."""
+def _of_files(folder: Path, files: Iterable[Path], opening: _Opening) -> str | None:
+    """The pattern of the one kind of files of which every camera has some; None without one."""
     suffixes = sorted({f.suffix for f in files if f.suffix.lower() in (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES)})
     patterns = [pattern for suffix in suffixes for pattern in _layouts(folder, suffix, opening)]
     if not patterns:  # one video of all views, or pictures of them
@@ -206,7 +219,7 @@ def _of_files(folder: Path, files: Iterable[Path], opening: _Opening) -> Source 
         videos = [str(file) for file in joined if file.suffix.lower() in VIDEO_SUFFIXES]
         stills = {f"{folder}/{JOINED}{file.suffix}": None for file in joined if str(file) not in videos}
         patterns = [*videos, *stills]
-    bags = [file for file in files if file.suffix.lower() in BAG_SUFFIXES]
+    bags = [file for file in files if file.name.lower().endswith(BAG_SUFFIXES)]
     is_part = {file: (file.parent / "metadata.yaml").is_file() for file in bags}
     patterns += sorted({str(file.parent if is_part[file] else file) for file in bags})
     if len(patterns) > 1:

@@ -10,7 +10,13 @@ from collections.abc import Container, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from sphericalvision.capture.sources.listings import listed_clock
-from sphericalvision.capture.sources.moments import WHOLE_SECONDS, Clock, Moments, pair_moments
+from sphericalvision.capture.sources.moments import (
+    FREE_RUNNING,
+    WHOLE_SECONDS,
+    Clock,
+    Moments,
+    pair_moments,
+)
 from sphericalvision.core import ArgumentError, MissingFileError
 from sphericalvision.io.images import read_exif_time
 from sphericalvision.io.times import SAME_TIME, are_counts, in_order, seconds
@@ -55,7 +61,7 @@ def find_files(
         labels = find_labels(pattern, names, leave_out=leave_out, key=key)
     files = {name: files_of(pattern, labels[name], excluded) for name in names}
     if requested is None:
-        _check_one_kind({name for own in files.values() for name in own}, pattern, key)
+        _check_one_kind(files, pattern, key)
     clocks = _clocks(files, labels)
     moments = pair_moments(files, clocks, tolerance, key)
     if not clocks:  # equal names say themselves what belongs together
@@ -91,7 +97,8 @@ def _say_if_taken_apart(frames: Sequence[Mapping[str, Path]], key: str) -> list[
     for camera in frames[0]:
         pairs = [[read_exif_time(file) for file in (next(iter(f.values())), f[camera])] for f in chosen]
         apart = [time - own for own, time in pairs if own is not None and time is not None]
-        if apart and (gap := max(apart) - min(apart)) > WHOLE_SECONDS:
+        is_whole = all(time is None or time % 1 == 0 for pair in pairs for time in pair)
+        if apart and (gap := max(apart) - min(apart)) > (WHOLE_SECONDS if is_whole else FREE_RUNNING):
             return [
                 f"{key}: pictures are paired by names, but by EXIF those of {camera} come up to {gap:.3g} s later in "
                 "some frames than in others; did a camera miss one? Name files by their times"
@@ -99,24 +106,28 @@ def _say_if_taken_apart(frames: Sequence[Mapping[str, Path]], key: str) -> list[
     return []
 
 
-def _check_one_kind(names: Iterable[str], pattern: str, key: str) -> None:
+def _check_one_kind(files: Mapping[str, Iterable[str]], pattern: str, key: str) -> None:
     """Refuse frames of which some are images and others what belongs to them: their depth, masks, thumbnails, copies.
 
-    They have the same numbers, and one name holds the other (``0001``, ``thumb_0001``) or differs behind the numbers.
-    Names of one number that differ otherwise (``Image0001`` and ``Depth0001``, ``0001`` and ``0001 (1)``) may be frames
-    of their own, and a warning asks.
+    A camera has several names of the same numbers, and one name holds the other (``0001``, ``thumb_0001``, ``1``) or
+    differs behind the numbers. Names of one number that differ otherwise (``Image0001`` and ``Depth0001``, ``0001`` and
+    ``0001 (1)``), and names without one next to numbered ones (``latest``), may be frames of their own: a warning asks.
     """
-    named: dict[tuple[str, ...], str] = {}
     doubt: tuple[str, str] | None = None
-    for name in sorted(names, key=lambda name: (len(name), name)):
-        numbers = tuple(_NUMBER.findall(name))
-        for count in range(1, len(numbers) + 1):
-            if (twin := named.get(numbers[:count])) is None:
-                continue
-            if count == len(numbers) and (twin in name or _up_to_number(twin) == _up_to_number(name)):
-                raise ArgumentError(f"{key}: {_several_kinds(pattern, twin, name)}")
-            doubt = doubt or (twin, name)
-        named.setdefault(numbers, name)
+    for own in files.values():
+        named: dict[tuple[str, ...], str] = {}
+        for name in sorted(own, key=lambda name: (len(name), name)):
+            numbers = tuple(number.lstrip("0") for number in _NUMBER.findall(name))
+            for count in range(1, len(numbers) + 1):
+                if (twin := named.get(numbers[:count])) is None:
+                    continue
+                if count == len(numbers) and (twin in name or _up_to_number(twin) == _up_to_number(name)):
+                    raise ArgumentError(f"{key}: {_several_kinds(pattern, twin, name)}")
+                doubt = doubt or (twin, name)
+            named.setdefault(numbers, name)
+        if () in named and len(named) > 1:
+            unnumbered = named.pop(())
+            doubt = doubt or (min(named.values()), unnumbered)
     if doubt:
         warnings.warn(f"{key}: {_several_kinds(pattern, *doubt)}, unless all are frames", stacklevel=5)
 
@@ -259,7 +270,12 @@ def _fields(pattern: str, key: str = "images") -> set[str]:
 def files_of(pattern: str, label: str, excluded: Container[Path] = ()) -> dict[str, Path]:
     """Frame -> file of one camera; ``""`` is the frame of a pattern without ``{frame}``."""
     files = {}
-    for (_, frame), file in _matches(pattern, label, excluded).items():
+    matches = _matches(pattern, label, excluded)
+    # {frame:03d} is 001 and not 1, unless all numbers have another width.
+    exact = {
+        key: file for key, file in matches.items() if not key[1] or _frame_text(pattern, key[1]) == key[1]
+    }
+    for (_, frame), file in (exact or matches).items():
         if re.search("[\0-\x1f\ud800-\udfff]", frame):  # results are listed by name, a line each, in UTF-8
             raise ArgumentError(
                 f"images: {str(file)!a}: expected a name in UTF-8 without line ends; rename it"
@@ -289,7 +305,9 @@ def _matches(pattern: str, label: str | None, excluded: Container[Path]) -> dict
     for file in anchor.glob(str(path.relative_to(path.anchor) if path.is_absolute() else path)):
         match = re.fullmatch(expression, str(file))
         is_hidden = file.name.startswith(".") and not is_hidden_pattern  # ._0001.png of macOS
-        if match and not is_hidden and file.is_file() and file.resolve() not in excluded:
+        # A link to nothing, as of files that were not fetched, is a frame that cannot be read.
+        is_file = file.is_file() or not file.exists()
+        if match and not is_hidden and is_file and file.resolve() not in excluded:
             values = match.groupdict()
             matches[values.get("camera", ""), values.get("frame") or ""] = file
     return matches

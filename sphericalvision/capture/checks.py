@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
+from sphericalvision.cameras.checks import PLAUSIBLE
 from sphericalvision.capture.result import Depth
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.icosphere.topology import check_level
@@ -75,7 +76,13 @@ def overlap_warning(depth: Depth) -> str | None:
 
 
 def hypotheses_warning(depth: Depth) -> str | None:
-    """Return what to say if most hypotheses lie nearer than anything that was found."""
+    """Return what to say if most hypotheses lie nearer than anything that was found, or if the rig's size is why."""
+    radius = float(depth.rig.radius)
+    if len(depth.rig) > 1 and not PLAUSIBLE[0] <= radius <= PLAUSIBLE[1]:
+        return (
+            f"The cameras are {radius:.3g} m from their centre on average, which is implausible for a rig (expected "
+            "5 mm to 5 m), and depth is as wrong; positions are in metres."
+        )
     counted = depth.seen & (depth.confidence > SURE)
     if counted.float().mean() < 0.2:
         return None

@@ -56,7 +56,8 @@ def read_points(
              a structured one with fields of these names
     ``.csv`` text, a point a line, separated by commas, semicolons, tabs or blanks.
     ``.xyz`` x, y, z are the columns of these names where the first line names
-             columns, else the first three; lines after ``#`` or ``//`` are comments
+             columns, else the first three; lines after ``#`` or ``//`` are comments;
+             a count of the points may stand before them
     ======== =====================================================================
 
     Args:
@@ -221,8 +222,13 @@ def _ply(path: Path) -> Any:
 def _text(path: Path) -> Any:
     lines = [line.strip() for line in path.read_text("utf-8-sig").splitlines() if line.strip()]
     start = next((at for at, line in enumerate(lines) if re.match(r"[-+.\d]|nan", line)), len(lines))
+    points = lines[start:]
+    if points and points[0].isdigit():  # a count before the points, as in .pts
+        count, points = int(points[0]), points[1:]
+        if count != len(points):
+            raise FileFormatError(f"{path}, line {start + 1}: expected {count} points, got {len(points)}")
     # Blanks last: in "1,5 2,5 3,5" commas are no separators, and no column is a number then.
-    delimiter = next((sign for sign in ";\t," if sign in "".join(lines[start : start + 1])), None)
+    delimiter = next((sign for sign in ";\t," if sign in "".join(points[:1])), None)
     columns = [0, 1, 2]
     for line in lines[:start]:
         header = re.sub(r"[\[(]m[\])]", "", line.lower().lstrip("#/ "))  # metres, as they should be
@@ -232,7 +238,7 @@ def _text(path: Path) -> Any:
             columns = [names.index(axis) for axis in _AXES]
         elif not line.startswith(("#", "//")) or re.search(r"\bx\s*[\[(]", header):
             raise FileFormatError(f"{path}: expected columns x, y and z in metres, got {line[:80]!r}")
-    return np.loadtxt(lines[start:], delimiter=delimiter, comments=("#", "//"), usecols=columns, ndmin=2)
+    return np.loadtxt(points, delimiter=delimiter, comments=("#", "//"), usecols=columns, ndmin=2)
 
 
 def _npy(path: Path) -> Any:

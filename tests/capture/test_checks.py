@@ -56,6 +56,14 @@ def test_wasted_hypotheses_are_told() -> None:
     assert hypotheses_warning(replace(depth, index=index, confidence=confidence)) is not None
 
 
+def test_a_rig_of_hundreds_of_metres_is_told_by_its_radius() -> None:
+    poses = RING.world_from_camera.clone()
+    poses[:, :3, 3] *= 1000  # in millimetres
+    depth = depth_of(CameraRig(RING.cameras, poses), "room", 100.0, taken_with=RING)
+    assert ["200 m from their centre" in sentence for sentence in capture_warnings(depth)].count(True) == 1
+    assert not any("wasted" in sentence for sentence in capture_warnings(depth))
+
+
 def test_twelve_bits_in_sixteen_are_told() -> None:
     depth = depth_of(RING, "room", 0.55)
     dark = {name: image / 16 for name, image in depth.images.items()}

@@ -153,7 +153,8 @@ def test_points_are_read_from_every_format(tmp_path: Path) -> None:
     (tmp_path / "h.xyz").write_text(
         "//X Y Z\n# scanned\n" + "".join(f"{x} {y} {z} 9\n" for x, y, z in points.tolist())
     )
-    for name in ("a.pcd", "b.pcd", "c.bin", "d.npy", "e.ply", "f.csv", "g.csv", "h.xyz"):
+    (tmp_path / "i.xyz").write_text("7\n" + "".join(f"{x} {y} {z} 9\n" for x, y, z in points.tolist()))
+    for name in ("a.pcd", "b.pcd", "c.bin", "d.npy", "e.ply", "f.csv", "g.csv", "h.xyz", "i.xyz"):
         assert np.allclose(read_points(tmp_path / name), points, atol=1e-6), name
 
 
@@ -258,6 +259,7 @@ def test_files_that_hold_no_points_are_refused_by_name(tmp_path: Path) -> None:
         "millimetres.pcd": whole.read_bytes().replace(b"TYPE F F F F", b"TYPE F I I I"),
         "text.pcd": (tmp_path / "text.pcd").read_bytes().replace(b"TYPE F F F F", b"TYPE F I I I"),
         "short.csv": b"1,2\n",
+        "fewer.xyz": b"3\n1 2 3\n",
         "cut.ply": ply("float", 2_000_000_000),
         "millimetres.ply": ply("int", 1),
     }.items():

@@ -110,6 +110,11 @@ class Camera(DeclaredModel):
         """The intrinsics' floating point type."""
         return self.max_angle.dtype
 
+    @property
+    def edges(self) -> str:
+        """How images go on beyond their edges, see ``image_lookup``: ``"border"``, not at all, but for panoramas."""
+        return "border"
+
     def _project(self, points: Tensor) -> Projection:
         """The model's pixels, valid where the model itself is defined."""
         return self.functions[0](points, *self._arguments(points))

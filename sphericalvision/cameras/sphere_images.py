@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
 from sphericalvision.cameras.remapping.area import as_floats, block_means
-from sphericalvision.cameras.remapping.lookup import image_edges, pixels_a_radian
+from sphericalvision.cameras.remapping.lookup import pixels_a_radian
 from sphericalvision.cameras.rig import CameraRig, check_images_of
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.image_lookup import image_lookup
@@ -60,7 +60,7 @@ def sphere_lookups(
         shrink = _shrinking(camera, directions) if antialias else 1
         small = (-(-camera.image_size[0] // shrink), -(-camera.image_size[1] // shrink))
         positions = ((pixels + 0.5) / shrink - 0.5).unsqueeze(-2)
-        lookup = image_lookup(positions, seen.unsqueeze(-1), small, edges=image_edges(camera))
+        lookup = image_lookup(positions, seen.unsqueeze(-1), small, edges=camera.edges)
         lookups.append(SphereLookup(camera.image_size, seen, shrink, lookup))
     return lookups
 

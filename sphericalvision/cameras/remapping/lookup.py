@@ -40,16 +40,6 @@ def source_pixels(
     return pixels, seen & visible
 
 
-def image_edges(camera: Camera) -> str:
-    """How a camera's images go on beyond their edges, as of ``image_lookup``.
-
-    Examples:
-        >>> image_edges(EquirectangularCamera((4, 8)))
-        'sphere'
-    """
-    return camera.edges if isinstance(camera, EquirectangularCamera) else "border"
-
-
 def nearest_pixel(camera: Camera, pixels: Float[Tensor, "*batch 2"]) -> Int[Tensor, "*batch"]:
     """Index (*) into the flattened image of the pixel whose centre is nearest to ``pixels`` (*, 2).
 
@@ -60,7 +50,7 @@ def nearest_pixel(camera: Camera, pixels: Float[Tensor, "*batch 2"]) -> Int[Tens
     """
     height, width = camera.image_size
     column, row = (pixels.detach() + 0.5).floor().long().unbind(-1)
-    column = column.clamp(0, width - 1) if image_edges(camera) == "border" else column % width
+    column = column.clamp(0, width - 1) if camera.edges == "border" else column % width
     return row.clamp(0, height - 1) * width + column
 
 

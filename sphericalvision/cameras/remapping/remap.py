@@ -17,7 +17,7 @@ from sphericalvision.cameras.remapping.area import (
     lookup_at_level,
     pixel_samples,
 )
-from sphericalvision.cameras.remapping.lookup import image_edges, nearest_pixel, source_pixels
+from sphericalvision.cameras.remapping.lookup import nearest_pixel, source_pixels
 from sphericalvision.core import check_choice, check_tensor, check_type
 from sphericalvision.geometry.image_lookup import image_lookup
 from sphericalvision.geometry.lookup import Lookup
@@ -190,7 +190,7 @@ def remap_tables(
         check_tensor("mask", mask, "(*b, h, w)")
     # In double precision, so that values, masks and modules agree about what lies on a border.
     dtype = torch.float32 if torch.device(device).type == "mps" else torch.float64
-    size, edges = source.image_size, image_edges(source)
+    size, edges = source.image_size, source.edges
     centers = target.pixel_grid(dtype).to(device)
     pixels, valid = source_pixels(source, target, rotation, centers)
     flat_pixels, flat_valid = pixels.flatten(-3, -2).unsqueeze(-2), valid.flatten(-2).unsqueeze(-1)

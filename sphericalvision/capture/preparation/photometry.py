@@ -22,7 +22,7 @@ from sphericalvision.cameras.base import check_single
 from sphericalvision.cameras.field_of_view import cap
 from sphericalvision.cameras.masks import resized_mask
 from sphericalvision.cameras.models.equirectangular import EquirectangularCamera
-from sphericalvision.cameras.remapping.lookup import image_edges, pixels_a_radian
+from sphericalvision.cameras.remapping.lookup import pixels_a_radian
 from sphericalvision.cameras.rig import CameraRig, check_images_of
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry.directions import angle_from_axis
@@ -294,7 +294,7 @@ class _Points:
                 seen.pixels[place].flatten(0, 1).unsqueeze(-2),
                 seen.valid[place].flatten()[:, None],
                 camera.image_size,
-                edges=image_edges(camera),
+                edges=camera.edges,
             )
             for place, camera in enumerate(rig.cameras.values())
         ]

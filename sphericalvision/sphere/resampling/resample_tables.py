@@ -20,7 +20,7 @@ from sphericalvision.cameras.remapping.area import (
     footprint,
     lookup_at_level,
 )
-from sphericalvision.cameras.remapping.lookup import image_edges, nearest_pixel
+from sphericalvision.cameras.remapping.lookup import nearest_pixel
 from sphericalvision.core import check_choice, check_tensor, check_type
 from sphericalvision.geometry.image_lookup import image_lookup
 from sphericalvision.geometry.lookup import Lookup, PlacesInSinglePrecision
@@ -212,7 +212,7 @@ def make_lookup(
     averaged = None if bool(same.all()) else shares
     if isinstance(source, Camera):
         pixels = source.project(directions).pixels
-        return lookup_at_level(pixels, seen, source.image_size, level, image_edges(source), averaged)
+        return lookup_at_level(pixels, seen, source.image_size, level, source.edges, averaged)
     if isinstance(source, Equirectangular):
         pixels = source.image_pixels(directions)
         return lookup_at_level(pixels, seen, source.shape, level, source.image_edges, averaged)

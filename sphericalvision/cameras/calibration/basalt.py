@@ -101,13 +101,9 @@ def write_basalt(cameras: Camera | CameraRig, path: str | Path) -> None:
             {"camera_type": lens.name, "intrinsics": dict(zip(lens.keys, parameters, strict=True))}
         )
         value0["resolution"].append(list(camera.image_size[::-1]))
-        rotation = quaternion_from_rotation(pose[:3, :3])
-        value0["T_imu_cam"].append(
-            {
-                **dict(zip(_POSITION, numbers_of(pose[:3, 3]), strict=True)),
-                **dict(zip(_QUATERNION, rotation, strict=True)),
-            }
-        )
+        position, quaternion = numbers_of(pose[:3, 3]), quaternion_from_rotation(pose[:3, :3])
+        keys = (*_POSITION, *_QUATERNION)
+        value0["T_imu_cam"].append(dict(zip(keys, position + quaternion, strict=True)))
     for index, name in enumerate(rig.names):
         if name in rig.masks:
             write_mask(path.parent / f"cam{index}" / "mask.png", rig.masks[name])

@@ -174,9 +174,10 @@ def write_colmap_rig(rig: CameraRig, path: str | Path) -> None:
     sensor; poses in the world are those of the images. Fields of view and masks are not part of the format.
     """
     path = Path(path)
-    suffixes = (path.suffix,) if path.suffix in (".bin", ".txt") else (".txt",)
-    folder = path.parent if path.suffix in (".bin", ".txt") else path
-    write_colmap_model({"": rig}, folder, suffixes=suffixes)
+    is_file = path.suffix in (".bin", ".txt")
+    write_colmap_model(
+        {"": rig}, path.parent if is_file else path, suffixes=[path.suffix if is_file else ".txt"]
+    )
 
 
 def write_colmap_model(
@@ -203,8 +204,7 @@ def write_colmap_model(
     )
     images: list[ImageRecord] = []
     for frame, rig in frames.items():
-        from_world = rig.camera_from_world.detach().cpu().double()
-        for name, camera, pose in zip(rig.names, cameras, from_world, strict=True):
+        for name, camera, pose in zip(rig.names, cameras, rig.camera_from_world, strict=True):
             image = f"{name}/{frame}" if frame else name
             pixels, rows = (sightings or {}).get(image, (np.zeros((0, 2)), np.zeros(0, np.int64)))
             record = ImageRecord(

@@ -185,7 +185,10 @@ def _folder_contents(folder: Path, options: Options) -> Contents:
 
 
 def ocam_numbers(camera: Camera, format: str) -> dict[str, list[float]]:
-    """The numbers of a camera as files hold them: counts in front of polynomials, the centre as (row, column)."""
+    """The numbers of a camera as files hold them: counts in front of polynomials, the centre as (row, column).
+
+    By OmniMVS's keys, in the order of an OCamCalib file.
+    """
     check_holds(format, camera)
     assert isinstance(camera, OCamCamera)
     if camera.inverse_polynomial is None:
@@ -196,11 +199,11 @@ def ocam_numbers(camera: Camera, format: str) -> dict[str, list[float]]:
     direct, inverse = numbers_of(camera.polynomial), numbers_of(camera.inverse_polynomial)
     column, row = numbers_of(camera.principal_point)
     return {
-        "direct": [len(direct), *direct],
-        "inverse": [len(inverse), *inverse],
+        "poly": [len(direct), *direct],
+        "inv_poly": [len(inverse), *inverse],
         "center": [row, column],
         "affine": numbers_of(camera.affine),
-        "size": list(camera.image_size),
+        "image_size": list(camera.image_size),
     }
 
 

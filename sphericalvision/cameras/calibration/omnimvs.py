@@ -13,7 +13,6 @@ import re
 from pathlib import Path
 from typing import Any
 
-from sphericalvision.cameras.base import check_single
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
@@ -73,26 +72,19 @@ def write_omnimvs(rig: CameraRig, path: str | Path) -> None:
 
     ``cam7`` gets the ``cam_id`` 7; with other names cameras are numbered from 1.
     """
-    check_single(rig)
     path = Path(path)
     numbered = all(re.fullmatch(r"cam\d+", name) for name in rig.names)
     ids = [int(name[3:]) if numbered else place for place, name in enumerate(rig.names, start=1)]
     for cam_id, name in zip(ids, rig.names, strict=True):
         refuse_mask_of_another(path.with_name(f"mask{cam_id}.png"), name, rig)
     entries = []
-    poses = rig.world_from_camera.detach().cpu().double()
-    for cam_id, pose, (name, camera) in zip(ids, poses, rig.cameras.items(), strict=True):
-        values = ocam_numbers(camera, "omnimvs")
+    for cam_id, pose, (name, camera) in zip(ids, rig.world_from_camera, rig.cameras.items(), strict=True):
         entries.append(
             {
                 "cam_id": cam_id,
                 "img_dir": f"cam{cam_id}",
                 "model": "ocam",
-                "poly": values["direct"],
-                "inv_poly": values["inverse"],
-                "center": values["center"],
-                "affine": values["affine"],
-                "image_size": values["size"],
+                **ocam_numbers(camera, "omnimvs"),
                 "invalid_mask": f"mask{cam_id}.png",  # OmniMVS asks for it in any case
                 "pose": [*axis_angle_from_rotation(pose[:3, :3]), *pose[:3, 3].tolist()],
                 "max_fov": math.degrees(2 * float(camera.max_angle)),

@@ -38,13 +38,11 @@ def recognizes(content: dict[str, Any]) -> bool:
 
 def contents(content: Keys, path: Path, options: Options) -> Contents:
     """The camera of a parsed file, called by its ``name``, or as the file is."""
-    is_flat = _SECTION not in content
-    values = content if is_flat else content.inner(_SECTION)
-    keys = {key: f"Camera.{key}" if is_flat else key for key in ("name", "model", "cols", "rows")}
-    lens = lens_called(_LENSES, values.model(keys["model"], [lens.name for lens in _LENSES]))
-    size = values.size(keys["cols"], keys["rows"])
-    intrinsics = [values.number(f"Camera.{key}" if is_flat else key) for key in lens.keys]
-    name = str(values.get(keys["name"]) or path.stem)
+    values, prefix = (content.inner(_SECTION), "") if _SECTION in content else (content, "Camera.")
+    lens = lens_called(_LENSES, values.model(f"{prefix}model", [lens.name for lens in _LENSES]))
+    size = values.size(f"{prefix}cols", f"{prefix}rows")
+    intrinsics = [values.number(prefix + key) for key in lens.keys]
+    name = str(values.get(f"{prefix}name") or path.stem)
     return Gathered(options).add(name, lens.camera(intrinsics, size, values.where), values.where).contents
 
 

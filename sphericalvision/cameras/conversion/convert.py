@@ -131,17 +131,14 @@ def convert(
 
 
 def _model(to: type[Camera] | str) -> type[Camera]:
-    if isinstance(to, str):
-        model = camera_model_meant(to)
-        if model is None:
-            check_choice("to", to, camera_model_names())
-            raise AssertionError(to)  # a name that is known has a model
-        return model
-    if not (isinstance(to, type) and issubclass(to, Camera)):
+    model = camera_model_meant(to) if isinstance(to, str) else to
+    if model is None:
+        check_choice("to", to, camera_model_names())
+    if not (isinstance(model, type) and issubclass(model, Camera)):
         raise ArgumentError(
             f"to: expected a camera class, or one of {', '.join(camera_model_names())}, got {to!r}"
         )
-    return to
+    return model
 
 
 def _candidates(

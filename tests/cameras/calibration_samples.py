@@ -91,12 +91,6 @@ def double(*values: Any) -> list[Tensor]:
     return [torch.tensor(value, dtype=torch.float64) for value in values]
 
 
-def circle(angle: Tensor, azimuth: float | Tensor = 0.7) -> Tensor:
-    """Unit vectors (*, 3) at angles (*) from the axis."""
-    angle, azimuth = torch.broadcast_tensors(angle, torch.as_tensor(azimuth, dtype=angle.dtype))
-    return torch.stack((angle.sin() * azimuth.cos(), angle.sin() * azimuth.sin(), angle.cos()), -1)
-
-
 def directions(max_degrees: float = 60.0, rings: int = 7, spokes: int = 12) -> np.ndarray:
     """Unit vectors (n, 3) from the axis out to an angle."""
     angle = np.radians(np.linspace(0.0, max_degrees, rings))[:, None]

@@ -10,12 +10,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.cameras import (
-    BrownConradyCamera,
-    project_brown_conrady,
-    unproject_brown_conrady,
-)
+from sphericalvision.cameras import BrownConradyCamera, project_brown_conrady, unproject_brown_conrady
 from tests.cameras.calibration_samples import KINECT, matrix, opencv_plain
+from tests.laws.camera_laws import circle
 
 FOCAL, CENTER, SIZE = [500.0, 510.0], [320.0, 240.0], (481, 641)
 MATRIX = matrix(*FOCAL, *CENTER)
@@ -53,8 +50,7 @@ def test_what_is_seen_is_looked_at_up_to_the_fold(distortion: list[float]) -> No
     camera = lens(distortion, (4001, 4001))
     generator = torch.Generator().manual_seed(0)
     angle = torch.rand(20000, generator=generator, dtype=torch.float64) * camera.max_angle
-    azimuth = torch.arange(20000, dtype=torch.float64)
-    points = torch.stack((angle.sin() * azimuth.cos(), angle.sin() * azimuth.sin(), angle.cos()), -1)
+    points = circle(angle, torch.arange(20000, dtype=torch.float64))
     pixels, seen = project_brown_conrady(points, *camera._aligned(points)[:3])
     directions, found = unproject_brown_conrady(pixels, *camera._aligned(pixels)[:3])
     assert not (seen & ~found).any()

@@ -28,12 +28,7 @@ from sphericalvision.cameras import (
 from sphericalvision.cameras.calibration import write_colmap
 from sphericalvision.core import FileFormatError, MissingFileError
 from sphericalvision.geometry import transform_from_axis_angle
-from tests.cameras.calibration_samples import (
-    TEXTS,
-    assert_projects,
-    directions,
-    dump,
-)
+from tests.cameras.calibration_samples import TEXTS, assert_projects, directions, dump
 from tests.laws.cameras import MODELS
 
 
@@ -90,8 +85,8 @@ def colmap_lenses() -> dict[str, Camera]:
         "equidistant",
         "brown conrady",
     )
-    more = ("thin prism fisheye", "equirectangular")
-    return {f"cam{i}": MODELS[name](1.0).to(torch.float64) for i, name in enumerate((*names, *more), start=3)}
+    names += ("thin prism fisheye", "equirectangular")
+    return {f"cam{i}": MODELS[name](1.0).to(torch.float64) for i, name in enumerate(names, start=3)}
 
 
 def rig_of_all() -> CameraRig:

@@ -13,22 +13,19 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from sphericalvision.cameras import (
+    KannalaBrandtCamera,
     project_kannala_brandt,
     project_ocam,
     unproject_kannala_brandt,
     unproject_ocam,
 )
+from tests.cameras.test_calibrations_of_one_lens import KB4
+from tests.laws.camera_laws import circle
 
 # Of public data sets: TUM-VI's two cameras, the Intel T265's two, as Kalibr and Basalt give them.
 REAL_KANNALA_BRANDT = {
-    "tum-vi 0": (
-        190.978,
-        [0.0034823894022493434, 0.0007150348452162257, -0.0020532361418706202, 0.00020293673591811182],
-    ),
-    "tum-vi 1": (
-        190.442,
-        [0.0034003170790442797, 0.001766278153469831, -0.00266312569781606, 0.0003299517423931039],
-    ),
+    "tum-vi 0": (190.978, KB4["distortion"][0]),
+    "tum-vi 1": (190.442, KB4["distortion"][1]),
     "t265 0": (
         286.601,
         [-0.006762412326815424, 0.045170283325720008, -0.043515167278210638, 0.008374959821591333],
@@ -155,3 +152,8 @@ def test_a_lens_is_followed_up_to_its_turning_point() -> None:
     assert ((found - angle).abs() <= 1e-14 / (1 - angle) + 1e-15).all()  # as well as the pixel tells
     beyond = double(200 * 2 / 3 + 1e-6, 0.0)
     assert not unproject_kannala_brandt(beyond, focal_length, center, distortion).valid
+    camera = KannalaBrandtCamera(focal_length, center, distortion, (9, 9))
+    assert camera.max_angle.item() == pytest.approx(1.0, abs=1e-7)
+    around = circle(double(1 - 1e-6, 1 + 1e-6))
+    valid = project_kannala_brandt(around, focal_length, center, distortion).valid
+    assert valid.tolist() == [True, False]

@@ -28,6 +28,7 @@ from sphericalvision.cameras import (
 )
 from sphericalvision.cameras.field_of_view import focal_length_on_axis
 from sphericalvision.core import ArgumentError
+from tests.laws.camera_laws import circle
 from tests.laws.cameras import MODELS
 
 F, C, SIZE = [210.0, 208.0], [318.2, 322.7], (640, 640)
@@ -56,8 +57,7 @@ def unseen_directions(camera: Camera, max_angle: float, count: int = 3000) -> to
     generator = torch.Generator().manual_seed(7)
     random = torch.rand(2, count, generator=generator, dtype=torch.float64)
     cosine = 1 - (1 - math.cos(max_angle)) * random[0]
-    flat, azimuth = (1 - cosine * cosine).sqrt(), 2 * math.pi * random[1]
-    points = torch.stack((flat * azimuth.cos(), flat * azimuth.sin(), cosine), dim=-1)
+    points = circle(cosine.acos(), 2 * math.pi * random[1])
     return points[camera.project(points).valid]
 
 
@@ -68,9 +68,6 @@ def gap(a: Camera, b: Camera, points: torch.Tensor) -> torch.Tensor:
 @pytest.mark.parametrize("name", MODELS)
 def test_a_camera_is_its_own_conversion(name: str) -> None:
     camera = double(MODELS[name](1.0))
-    camera = (
-        camera.exact() if isinstance(camera, OCamCamera) and camera.inverse_polynomial is None else camera
-    )
     conversion = convert(camera, to=type(camera))
     fitted = {  # an inverse polynomial; the sequential composition, which conversion makes
         "ocam exact": 0.01,
@@ -183,9 +180,7 @@ def test_ocam_of_220_degrees_as_kannala_brandt() -> None:
     conversion = convert(ocam, to=KannalaBrandtCamera)
     # The affine part's shear, which Kannala-Brandt lacks, is 0.7 px at the edge
     assert conversion.max_error < 0.8
-    upright = OCamCamera(
-        ocam.polynomial, None, ocam.principal_point, [1.0003, 0.0, 0.0], ocam.image_size, ocam.max_angle
-    )
+    upright = ocam.with_intrinsics(affine=ocam.affine.new_tensor([1.0003, 0.0, 0.0]))
     assert convert(upright, to=KannalaBrandtCamera).max_error < 0.15
     assert math.degrees(conversion.covered_angle) == pytest.approx(110)
 
@@ -213,23 +208,21 @@ def test_a_model_that_reaches_but_a_spot_is_refused() -> None:
 def test_a_turned_ocam_image_is_off_by_its_turn() -> None:
     """The frame stays, so models that cannot turn the image miss by the turn, and the error says so."""
     ocam = real_ocam()
-    turned = OCamCamera(
-        ocam.polynomial, None, ocam.principal_point, [1.0, -0.02, 0.02], ocam.image_size, ocam.max_angle
-    )
-    radius = float(
-        (
-            turned.project(torch.tensor([math.sin(1.9), 0.0, math.cos(1.9)])).pixels - ocam.principal_point
-        ).norm()
-    )
+    turned = ocam.with_intrinsics(affine=ocam.affine.new_tensor([1.0, -0.02, 0.02]))
+    pixel = turned.project(torch.tensor([math.sin(1.9), 0.0, math.cos(1.9)])).pixels
+    radius = float((pixel - ocam.principal_point).norm())
     assert convert(turned, to=KannalaBrandtCamera).max_error == pytest.approx(0.02 * radius, rel=0.05)
 
 
-TURNED = [0.998, 0.021, -0.0185]  # c d e: a turn of 1.13° and some shear
+def turned_ocam() -> OCamCamera:
+    """By 1.13°, with some shear."""
+    ocam = real_ocam()
+    return ocam.with_intrinsics(affine=ocam.affine.new_tensor([0.998, 0.021, -0.0185]))
 
 
 @pytest.mark.parametrize("inverse", [False, True])
 def test_a_straightened_lens_is_the_same_lens_in_a_turned_frame(inverse: bool) -> None:
-    lens = OCamCamera(real_ocam().polynomial, None, [798.3, 771.6], TURNED, (1532, 1600), math.radians(110))
+    lens = turned_ocam()
     if inverse:
         lens = fit_inverse_polynomial(lens).camera
     straight, old_from_new, angle = straighten(lens)
@@ -247,7 +240,7 @@ def test_a_straightened_lens_is_the_same_lens_in_a_turned_frame(inverse: bool) -
 
 def test_a_rig_takes_the_turns_of_its_images_into_its_poses() -> None:
     """Converted, it sees points of the world where it saw them before; without, it is off by the turn."""
-    lens = OCamCamera(real_ocam().polynomial, None, [798.3, 771.6], TURNED, (1532, 1600), math.radians(110))
+    lens = turned_ocam()
     poses = torch.eye(4, dtype=torch.float64).repeat(2, 1, 1)
     poses[1, :3, :3] = torch.tensor([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
     poses[:, 0, 3] = torch.tensor([0.1, -0.1], dtype=torch.float64)
@@ -271,9 +264,7 @@ def test_a_polynomial_that_misses_the_centre_is_converted() -> None:
     assert isinstance(ocam, OCamCamera)
     inverse = ocam.inverse_polynomial.clone()
     inverse[0] += 0.4
-    missing = OCamCamera(
-        ocam.polynomial, inverse, ocam.principal_point, ocam.affine, ocam.image_size, ocam.max_angle
-    )
+    missing = ocam.with_intrinsics(inverse_polynomial=inverse)
     torch.testing.assert_close(focal_length_on_axis(missing), focal_length_on_axis(ocam), rtol=0.01, atol=0)
     assert convert(missing, to=KannalaBrandtCamera).max_error < 0.45
 

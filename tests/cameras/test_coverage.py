@@ -19,6 +19,7 @@ from sphericalvision.cameras import (
 )
 from sphericalvision.cameras.field_of_view import focal_length_on_axis, visible_angle
 from sphericalvision.icosphere import Icosphere
+from tests.laws.camera_laws import circle
 from tests.laws.cameras import MODELS
 
 
@@ -52,9 +53,7 @@ def test_just_inside_of_the_visible_angle_is_seen_and_just_outside_not(name: str
     angle = visible_angle(camera, azimuth)
     for step, expected in ((-1e-6, True), (1e-6, False)):
         turned = (angle + step).clamp_max(math.pi)
-        flat = turned.sin()
-        points = torch.stack((flat * azimuth.cos(), flat * azimuth.sin(), turned.cos()), dim=-1)
-        seen = camera.project(points).valid
+        seen = camera.project(circle(turned, azimuth)).valid
         assert torch.equal(seen | (turned == math.pi), torch.full_like(seen, expected) | (turned == math.pi))
 
 

@@ -29,10 +29,10 @@ from tests.cameras.test_format_rigs import VINS
 LENS = PinholeCamera([300.0, 300.0], [319.5, 239.5], (480, 640))
 
 
-def moving_rig(folder: Path, suffix: str) -> Path:
+def moving_rig(folder: Path, suffix: str, start: float = 0.0) -> Path:
     """A model of two cameras 0.2 m apart."""
     poses = torch.eye(4).repeat(2, 1, 1)
-    poses[1, 0, 3] = 0.2
+    poses[:, 0, 3] = torch.tensor([start, start + 0.2])
     save_rig(CameraRig({"front": LENS, "rear": LENS}, poses), folder / f"cameras{suffix}", "colmap")
     return folder / f"images{suffix}"
 
@@ -40,15 +40,10 @@ def moving_rig(folder: Path, suffix: str) -> Path:
 @pytest.mark.parametrize("read", [read_rig, read_trajectory])
 @pytest.mark.parametrize("suffix", [".txt", ".bin"])
 def test_images_of_colmap_agree_with_frames_and_rigs(tmp_path: Path, suffix: str, read: Any) -> None:
-    (tmp_path / "old").mkdir()
-    images = moving_rig(tmp_path / "old", suffix)
+    images, later = moving_rig(tmp_path / "old", suffix), moving_rig(tmp_path / "new", suffix, 0.3)
     assert len(read(images)) == 2
-    for name in ("frames", "rigs"):  # of the same rig 0.3 m further on
-        (tmp_path / "new").mkdir(exist_ok=True)
-        poses = torch.eye(4).repeat(2, 1, 1)
-        poses[:, 0, 3] = torch.tensor([0.3, 0.5])
-        save_rig(CameraRig({"front": LENS, "rear": LENS}, poses), tmp_path / f"new/cameras{suffix}", "colmap")
-        images.with_name(f"{name}{suffix}").write_bytes((tmp_path / f"new/{name}{suffix}").read_bytes())
+    for name in (f"frames{suffix}", f"rigs{suffix}"):
+        images.with_name(name).write_bytes(later.with_name(name).read_bytes())
     with pytest.raises(FileFormatError, match=rf"images\{suffix}.*'front\.png'.*0\.3 apart"):
         read(images)
 

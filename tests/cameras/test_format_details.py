@@ -85,7 +85,8 @@ def test_poses_come_back_in_opengls_axes(tmp_path: Path) -> None:
 # OCam ---------------------------------------------------------------------------------------------------------------
 
 
-def test_ocamcalibs_center_has_the_row_first_and_the_view_ends_at_the_corner(tmp_path: Path) -> None:
+def test_convention_ocam_center_is_row_column_in_files(tmp_path: Path) -> None:
+    """Row 119.5, column 160.25; height 240, width 320. The view ends at the corner."""
     path = dump(tmp_path / "lens.txt", TEXTS["lens.txt"])
     camera = read_camera(path, dtype=torch.float64)
     assert isinstance(camera, OCamCamera)
@@ -97,6 +98,8 @@ def test_ocamcalibs_center_has_the_row_first_and_the_view_ends_at_the_corner(tmp
     corner = camera.unproject(torch.zeros(2).double()).directions  # the farthest pixel centre
     assert camera.max_angle.item() == pytest.approx(math.acos(corner[2]))
     assert read_camera(path, max_angle=1.2).max_angle.item() == pytest.approx(1.2)
+    right, down = camera.exact().project(torch.tensor([0.1, 0.01, 1.0])).pixels - camera.principal_point
+    assert right > down > 0
 
 
 def test_omnimvs_without_inverse_polynomial_inverts_exactly(tmp_path: Path) -> None:
@@ -165,25 +168,6 @@ def test_keys_without_a_space_before_their_value_are_read(tmp_path: Path) -> Non
     path, tight = (dump(tmp_path / f"{k}.yaml", t) for k, t in enumerate((text, text.replace(": ", ":"))))
     assert "Camera.a0:-" in tight.read_text()
     assert read_camera(tight).equals(read_camera(path))
-
-
-def test_convention_ocam_center_is_row_column_in_files(tmp_path: Path) -> None:
-    lines = [
-        "3 -100 0 0.002",
-        "2 157 100",
-        "12.5 20.25",
-        "1 0 0",
-        "30 40",
-    ]  # row 12.5, column 20.25; height 30, width 40
-    path = tmp_path / "ocam.txt"
-    path.write_text("\n\n".join(lines))
-    lens = read_camera(path)
-    assert lens.principal_point.tolist() == [20.25, 12.5]
-    assert lens.image_size == (30, 40)
-    right_and_a_little_down = (
-        lens.exact().project(torch.tensor([0.1, 0.01, 1.0])).pixels - lens.principal_point
-    )
-    assert right_and_a_little_down[0] > right_and_a_little_down[1] > 0
 
 
 # Fields of view, sizes, principal points ------------------------------------------------------------------------------

@@ -250,14 +250,8 @@ def test_blenders_sensor_fits_the_side_that_it_says(
     tmp_path: Path, fit: str, focal_length: float, side: int
 ) -> None:
     """A portrait picture: the sensor's width is its height, or the sensor's height is; the shift moves the picture."""
-    changes = {
-        "resolution_x": 600,
-        "resolution_y": 900,
-        "resolution_percentage": 100,
-        "sensor_fit": fit,
-        "shift_y": 0.1,
-    }
-    lens = sample("blender.json")["cameras"]["plain"] | changes
+    size = {"resolution_x": 600, "resolution_y": 900, "resolution_percentage": 100}
+    lens = sample("blender.json")["cameras"]["plain"] | size | {"sensor_fit": fit, "shift_y": 0.1}
     camera = read_camera(dump(tmp_path / "blender.json", {"cameras": {"plain": lens}}))
     assert isinstance(camera, PinholeCamera)
     assert camera.focal_length.tolist() == pytest.approx([focal_length] * 2)

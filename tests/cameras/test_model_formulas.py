@@ -35,7 +35,6 @@ from sphericalvision.cameras import (
 from tests.cameras.calibration_samples import (
     KINECT,
     assert_projects,
-    circle,
     directions,
     double,
     extended_unified,
@@ -46,6 +45,7 @@ from tests.cameras.calibration_samples import (
     opencv_plain,
     thin_prism,
 )
+from tests.laws.camera_laws import circle
 
 FOCAL, CENTER, SIZE = [100.0, 110.0], [499.5, 299.5], (600, 1000)
 PLANE = (*FOCAL, *CENTER)
@@ -285,9 +285,8 @@ def fisheye(projection: str) -> Camera:
 
 
 FOLD = [-1 / 3, 0.0, 0.0, 0.0]
-ENDS: dict[
-    str, tuple[Camera, Callable[[np.ndarray], Any]]
-] = {  # camera, image radius in focal lengths of an angle
+# Camera, image radius in focal lengths of an angle
+ENDS: dict[str, tuple[Camera, Callable[[np.ndarray], Any]]] = {
     "kannala brandt": (lens(KannalaBrandtCamera, FOLD), folded(lambda t: t)),
     "brown conrady": (
         lens(BrownConradyCamera, FOLD),
@@ -304,11 +303,8 @@ ENDS: dict[
         for xi in (-0.4, 0.0, 0.5, 1.0, 1.01, 2.0)
     },
     **{
-        f"extended unified, {alpha}, {beta}": (
-            lens(ExtendedUnifiedCamera, alpha, beta),
-            ellipsoid(alpha, beta),
-        )
-        for alpha, beta in ((0.3, 1.4), (0.5, 0.8), (0.63, 1.04), (0.75, 2.0), (1.0, 0.5))
+        f"extended unified, {a}, {b}": (lens(ExtendedUnifiedCamera, a, b), ellipsoid(a, b))
+        for a, b in ((0.3, 1.4), (0.5, 0.8), (0.63, 1.04), (0.75, 2.0), (1.0, 0.5))
     },
 }
 

@@ -12,24 +12,13 @@ import torch
 from sphericalvision.cameras import (
     EquirectangularCamera,
     FisheyeCamera,
-    KannalaBrandtCamera,
     points_from_depth,
     project_kannala_brandt,
     unproject_kannala_brandt,
 )
-from tests.cameras.calibration_samples import double
 
 FOCAL, CENTER, SIZE = [190.97, 188.3], [254.93, 256.9], (512, 512)
 DISTORTION = [0.0034823894, 0.0007150348, -0.0020532361, 0.0002029367]
-
-
-def test_a_fold_is_found_to_a_millionth_of_a_radian() -> None:
-    """θ − θ³/3 turns at 1 rad, which lies between the samples that look for it."""
-    camera = KannalaBrandtCamera(*double([100.0, 100.0], [200.0, 200.0], [-1 / 3, 0.0, 0.0, 0.0]), (401, 401))
-    assert camera.max_angle.item() == pytest.approx(1.0, abs=1e-7)
-    angles = 1 + torch.tensor([-1e-6, 1e-6], dtype=torch.float64)
-    points = torch.stack((angles.sin(), torch.zeros(2), angles.cos()), -1)
-    assert camera.with_max_angle(math.pi).project(points).valid.tolist() == [True, False]
 
 
 def test_one_focal_length_for_each_camera_or_for_each_direction() -> None:

@@ -29,6 +29,7 @@ from sphericalvision.cameras.remapping.area import block_means
 from sphericalvision.cameras.remapping.remap import REMAP_MODES
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.kernels import reference_kernels
+from tests.laws.camera_laws import circle
 
 FISHEYE = FisheyeCamera.from_field_of_view((72, 96), math.radians(200)).to(torch.float64)
 PINHOLE = PinholeCamera([50.0, 50.0], [39.5, 29.5], (60, 80)).to(torch.float64)
@@ -217,11 +218,8 @@ def brute_force(image: Tensor, source: Camera, target: Camera, rotation: Tensor,
     offsets = (torch.arange(side, dtype=torch.float64) + 0.5) / side - 0.5
     total, count = torch.zeros(()), torch.zeros(())
     for v in offsets:
-        rays = target.unproject(
-            (target.pixel_grid() + torch.stack((offsets[:, None, None], v.expand(side, 1, 1)), -1)).flatten(
-                0, 2
-            )
-        )
+        shifts = torch.stack((offsets[:, None, None], v.expand(side, 1, 1)), -1)
+        rays = target.unproject((target.pixel_grid() + shifts).flatten(0, 2))
         values, seen = source.sample(image, rays.directions @ rotation)
         seen = (seen & rays.valid).view(side, *target.image_size)
         total = total + (values.view(-1, *seen.shape) * seen).sum(1)
@@ -477,9 +475,7 @@ def test_balance_goes_from_all_valid_to_all_kept(size: tuple[int, int], view: in
     assert view == 200 or not remap_mask(lens, wider).all()
     angle = torch.linspace(0, math.radians(min(view / 2, 80)) * 0.999, 200, dtype=torch.float64)[:, None]
     azimuth = torch.linspace(0, 2 * math.pi, 360, dtype=torch.float64)
-    directions = torch.stack(
-        torch.broadcast_tensors(angle.sin() * azimuth.cos(), angle.sin() * azimuth.sin(), angle.cos()), -1
-    )
+    directions = circle(angle, azimuth)
     asked = directions[lens.project(directions).valid]
     assert kept.project(asked).valid.all()
     narrower = undistorted_camera(lens, focal_length=1.03 * kept.focal_length[0], image_size=size)

@@ -18,6 +18,12 @@ def small_ring(**kwargs: object) -> CameraRig:
     return ring_rig(4, image_size=(64, 64), **kwargs)
 
 
+def unit_vectors(count: int, dtype: torch.dtype = torch.float64) -> torch.Tensor:
+    """The same each time, in all directions."""
+    values = torch.randn(count, 3, generator=torch.Generator().manual_seed(3), dtype=dtype)
+    return torch.nn.functional.normalize(values, dim=-1)
+
+
 def test_ring_faces_front_right_back_left_from_its_circle() -> None:
     rig = small_ring(radius=0.3)
     expected = torch.stack((FORWARD, RIGHT, -FORWARD, -RIGHT))
@@ -130,9 +136,7 @@ def panorama(directions: torch.Tensor) -> torch.Tensor:
 
 def test_sample_sphere_shows_the_world_upright_whatever_the_pose() -> None:
     """Each camera photographs the same distant world: in world directions all agree with it and with each other."""
-    directions = torch.nn.functional.normalize(
-        torch.randn(500, 3, generator=torch.Generator().manual_seed(3)), dim=-1
-    )
+    directions = unit_vectors(500, torch.float32)
     rig = ring_rig(4, image_size=(300, 320)).rotated(tilt=0.3)
     images = {}
     for (name, camera), pose in zip(rig.cameras.items(), rig.world_from_camera, strict=True):
@@ -151,7 +155,7 @@ def test_sample_sphere_shows_the_world_upright_whatever_the_pose() -> None:
 
 def test_sample_sphere_of_a_batch_equals_the_loop(generator: torch.Generator) -> None:
     rigs = [small_ring(), small_ring().rotated(tilt=0.4)]
-    directions = torch.nn.functional.normalize(torch.randn(50, 3, generator=generator), dim=-1)
+    directions = unit_vectors(50, torch.float32)
     images = torch.rand(4, 2, 3, 64, 64, generator=generator)
     values, valid = sample_sphere(CameraRig.stack(rigs), list(images), directions)
     assert values.shape == (2, 4, 3, 50)
@@ -166,8 +170,7 @@ def test_antialias_averages_what_the_directions_cannot_show() -> None:
     rig = ring_rig(4, image_size=(800, 800))
     v, u = torch.meshgrid(torch.arange(800), torch.arange(800), indexing="ij")
     board = ((u + v) % 2).float()[None]
-    generator = torch.Generator().manual_seed(0)
-    directions = torch.nn.functional.normalize(torch.randn(2000, 3, generator=generator), dim=-1)
+    directions = unit_vectors(2000, torch.float32)
     plain, valid = sample_sphere(rig, [board] * 4, directions)
     smooth, same = sample_sphere(rig, [board] * 4, directions, antialias=True)
     assert torch.equal(valid, same)
@@ -231,11 +234,9 @@ def test_project_asks_each_camera_for_each_point_by_hand(generator: torch.Genera
     assert torch.equal(unmasked[[0, 2]], valid[[0, 2]])
 
 
-def test_points_seen_asks_each_camera_for_each_point_by_hand(generator: torch.Generator) -> None:
+def test_points_seen_asks_each_camera_for_each_point_by_hand() -> None:
     rig = masked_ring()
-    directions = torch.nn.functional.normalize(
-        torch.randn(60, 3, generator=generator, dtype=torch.float64), dim=-1
-    )
+    directions = unit_vectors(60)
     inverse_depths = torch.tensor([0.0, 0.5, 2.0], dtype=torch.float64)
     seen = rig.points_seen(directions, inverse_depths)
     assert seen.shape == (3, 3, 60)
@@ -249,15 +250,12 @@ def test_points_seen_asks_each_camera_for_each_point_by_hand(generator: torch.Ge
                 assert bool(seen[index, number, place]) == expected, (name, inverse_depth, direction)
 
 
-def test_project_along_is_exact_far_away_and_equals_project_near_by(generator: torch.Generator) -> None:
+def test_project_along_is_exact_far_away_and_equals_project_near_by() -> None:
     rig = masked_ring()
-    directions = torch.nn.functional.normalize(
-        torch.randn(40, 3, generator=generator, dtype=torch.float64), dim=-1
-    )
+    directions = unit_vectors(40)
     pixels, valid = rig.project_along(directions, torch.tensor([0.0, 0.8]))
-    torch.testing.assert_close(
-        pixels[:, 1], rig.project(rig.center + directions / 0.8).pixels, rtol=1e-6, atol=1e-6
-    )
+    near = rig.project(rig.center + directions / 0.8).pixels
+    torch.testing.assert_close(pixels[:, 1], near, rtol=1e-6, atol=1e-6)
     for index, camera in enumerate(rig.cameras.values()):
         turned = directions @ rig.world_from_camera[index, :3, :3]
         assert torch.equal(pixels[index, 0], camera.project(turned).pixels)

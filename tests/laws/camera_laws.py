@@ -7,7 +7,6 @@ A law takes a camera and fails with an assertion. A new model is tested by one m
 
 from __future__ import annotations
 
-import copy
 import inspect
 import math
 from typing import Any
@@ -34,14 +33,17 @@ def hold_everywhere(condition: Tensor, values: Tensor, law: str) -> None:
 INSIDE = 0.995  # of the field of view: laws on what a camera sees keep away from the very edge
 
 
+def circle(angle: Tensor, azimuth: float | Tensor = 0.7) -> Tensor:
+    """Unit vectors (*, 3) at angles (*) from the axis."""
+    angle, azimuth = torch.broadcast_tensors(angle, torch.as_tensor(azimuth, dtype=angle.dtype))
+    return torch.stack((angle.sin() * azimuth.cos(), angle.sin() * azimuth.sin(), angle.cos()), -1)
+
+
 def directions_within(camera: Camera, count: int = 400, fraction: float = INSIDE) -> Tensor:
     """Directions spread evenly over angle and azimuth out to ``fraction`` of the field of view, (count, 3)."""
     steps = torch.arange(count, dtype=torch.float64)
     angle = (steps + 0.5) / count * fraction * float(camera.max_angle)
-    azimuth = steps * math.pi * (3 - math.sqrt(5))
-    flat = torch.sin(angle)
-    points = torch.stack((flat * torch.cos(azimuth), flat * torch.sin(azimuth), torch.cos(angle)), -1)
-    return points.to(camera.dtype)
+    return circle(angle, steps * math.pi * (3 - math.sqrt(5))).to(camera.dtype)
 
 
 def directions_seen(camera: Camera, count: int = 400) -> Tensor:
@@ -124,8 +126,7 @@ def law_round_trip_is_exact(camera: Camera, case: CameraCase) -> None:
     eps = torch.finfo(camera.dtype).eps
     edge = inner_angle(camera, 0.99)
     angle = torch.cat((torch.logspace(-6, -1, 26), torch.linspace(0.1, 1, 200) * edge)).double()
-    azimuth = 2.4 * torch.arange(len(angle), dtype=torch.float64)
-    points = torch.stack((angle.sin() * azimuth.cos(), angle.sin() * azimuth.sin(), angle.cos()), -1)
+    points = circle(angle, 2.4 * torch.arange(len(angle), dtype=torch.float64))
     points = points[angle <= edge].to(camera.dtype)
     pixels, seen = camera.project(points)
     points, pixels = points[seen], pixels[seen]
@@ -254,15 +255,7 @@ def with_gradients(camera: Camera) -> tuple[Camera, list[Tensor]]:
     """The camera with intrinsics that require gradients, and these."""
     names = [name for name in camera.intrinsic_names if getattr(camera, name) is not None]
     leaves = [getattr(camera, name).detach().clone().requires_grad_() for name in names]
-    return replaced(camera, names, leaves), leaves
-
-
-def replaced(camera: Camera, names: list[str], values: list[Tensor]) -> Camera:
-    """A copy of the camera with other intrinsics."""
-    camera = copy.copy(camera)
-    for name, value in zip(names, values, strict=True):
-        setattr(camera, name, value)
-    return camera
+    return camera.with_intrinsics(dict(zip(names, leaves, strict=True))), leaves
 
 
 def law_batch_equals_loop(camera: Camera, other: Camera) -> None:

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from sphericalvision.cameras import Camera
-from tests.laws.camera_laws import directions_seen, inner_angle, replaced
+from tests.laws.camera_laws import circle, directions_seen, inner_angle
 from tests.laws.cameras import CameraCase
 
 BOTH = ("project", "unproject")
@@ -23,9 +23,7 @@ def telling_directions(camera: Camera, on_axis: bool = True) -> Tensor:
     edge = inner_angle(camera, 0.97)
     angles = [angle for angle in (*ANGLES, edge) if angle <= edge and (on_axis or angle > 1e-5)]
     angle = torch.tensor(angles, dtype=torch.float64)
-    azimuth = 0.4 + 1.7 * torch.arange(len(angles), dtype=torch.float64)
-    flat = torch.sin(angle)
-    return torch.stack((flat * torch.cos(azimuth), flat * torch.sin(azimuth), torch.cos(angle)), -1)
+    return circle(angle, 0.4 + 1.7 * torch.arange(len(angles), dtype=torch.float64))
 
 
 def intrinsics_of(camera: Camera) -> tuple[list[str], list[Tensor]]:
@@ -42,7 +40,9 @@ def _function(camera: Camera, verb: str) -> Callable[..., Tensor]:
 
     def call(values: Tensor, *changes: Tensor) -> Tensor:
         changed = [t + c * s for t, c, s in zip(tensors, changes, scales, strict=True)]
-        answer: Tensor = getattr(replaced(camera, names, changed), verb)(values)[0]
+        answer: Tensor = getattr(camera.with_intrinsics(dict(zip(names, changed, strict=True))), verb)(
+            values
+        )[0]
         return answer
 
     return call
@@ -75,7 +75,9 @@ def law_transforms_equal_the_loop(camera: Camera) -> None:
     for verb, values in zip(BOTH, (points, camera.project(points).pixels), strict=True):
 
         def call(values: Tensor, *intrinsics: Tensor, verb: str = verb) -> Tensor:
-            answer: Tensor = getattr(replaced(camera, names, list(intrinsics)), verb)(values)[0]
+            answer: Tensor = getattr(camera.with_intrinsics(dict(zip(names, intrinsics, strict=True))), verb)(
+                values
+            )[0]
             return answer
 
         close = {"atol": 1e-9, "rtol": 1e-9}

@@ -21,8 +21,14 @@ from sphericalvision.crown import (
     north_fraction,
     to_crown,
 )
-from sphericalvision.icosphere import icosphere_neighbors, icosphere_vertices, num_icosphere_vertices
+from sphericalvision.icosphere import (
+    Icosphere,
+    icosphere_neighbors,
+    icosphere_vertices,
+    num_icosphere_vertices,
+)
 from sphericalvision.icosphere.topology import coarse_vertex_ids, vertex_at
+from tests.laws.grid_laws import UP, icosahedral_rotations, rotation_about
 from tests.values import random_values
 
 # The gap and where the ring starts, as the documentation states it for valence five: (gap, tap, towards).
@@ -103,19 +109,6 @@ def loop_convolution(values: Tensor, weight: Tensor, table: Tensor) -> Tensor:
     return torch.einsum("bivt,oit->bov", torch.cat((around, values[..., None]), -1), weight)
 
 
-def rotations() -> list[Tensor]:
-    """The 60 rotations of the icosahedron: the first edge goes to any edge, in any direction."""
-    corners, neighbors = icosphere_vertices(0, torch.float64), icosphere_neighbors(0).tolist()
-
-    def frame(a: int, b: int) -> Tensor:
-        across = torch.linalg.cross(corners[a], corners[b])
-        across = across / across.norm()
-        return torch.stack((corners[a], across, torch.linalg.cross(corners[a], across)), 1)
-
-    start = frame(0, neighbors[0][0])
-    return [frame(a, b) @ start.T for a in range(12) for b in neighbors[a] if b >= 0]
-
-
 def permutation(rotation: Tensor, level: int) -> Tensor:
     """For every vertex the vertex that the rotation brings there."""
     vertices = icosphere_vertices(level, torch.float64)
@@ -185,8 +178,7 @@ def test_isotropic_kernels_commute_with_the_sixty_rotations(orientation: str) ->
     weight, weight3d = isotropic(4, 3), isotropic(4, 2, 3)
     plain, strided = (hex_conv2d(values, weight, None, stride, north) for stride in (1, 2))
     deep = hex_conv3d(volumes, weight3d, None, 1, north)
-    assert len(rotations()) == 60
-    for rotation in rotations():
+    for rotation in icosahedral_rotations(Icosphere(0)):
         turned, coarse = permutation(rotation, level), permutation(rotation, level - 1)
         for result, expected in (
             (hex_conv2d(values[..., turned], weight, None, 1, north), plain[..., turned]),
@@ -206,7 +198,7 @@ def test_crown_convolutions_do_not_commute_with_rotations() -> None:
     plain = convolve(values)
     errors = [
         (convolve(values[..., turned]) - plain[..., turned]).abs().max()
-        for turned in (permutation(rotation, 2) for rotation in rotations())
+        for turned in (permutation(rotation, 2) for rotation in icosahedral_rotations(Icosphere(0)))
     ]
     assert max(errors) > 0.05 * plain.std()
     fivefold = [error for error in errors if error < 1e-12]
@@ -217,12 +209,7 @@ def test_crown_convolutions_do_not_commute_with_rotations() -> None:
 def test_any_kernel_commutes_with_a_fifth_of_a_turn_but_at_the_poles(orientation: str) -> None:
     values, weight = random_values(1, 2, 162), random_values(3, 2, 7)
     north = north_fraction(2, torch.float64) if orientation == "north" else None
-    angle = 2 * math.pi / 5
-    turn = torch.tensor(
-        [[math.cos(angle), 0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0, math.cos(angle)]],
-        dtype=torch.float64,
-    )
-    turned = permutation(turn, 2)
+    turned = permutation(rotation_about(UP, 2 * math.pi / 5), 2)
     result = hex_conv2d(values[..., turned], weight, north=north)
     expected = hex_conv2d(values, weight, north=north)[..., turned]
     torch.testing.assert_close(result[..., 1:-1], expected[..., 1:-1], rtol=0, atol=1e-12)

@@ -15,15 +15,13 @@ from sphericalvision.crown import (
     north_fraction,
 )
 from sphericalvision.icosphere import Icosphere
+from tests.laws.grid_laws import rotation_about
+from tests.values import random_values
 
 DOUBLE = torch.float64
 LEVEL = 4
 TAPS = ((0, -1), (1, -1), (1, 0), (0, 1), (-1, 1), (-1, 0))
 """(row, column) of the ring in a chart, as the module of hexagonal convolutions says."""
-
-
-def random(*shape: int, seed: int = 0) -> Tensor:
-    return torch.randn(*shape, dtype=DOUBLE, generator=torch.Generator().manual_seed(seed))
 
 
 def vertex(row: int, column: int, chart: int = 2) -> int:
@@ -49,8 +47,8 @@ def test_turns_of_the_lattice_take_each_tap_to_the_next() -> None:
 
 def test_a_turned_picture_gives_turned_values_one_orientation_on() -> None:
     """Exactly, inside a chart, through two layers."""
-    before, after = turned_in_chart(random(1, 3, Icosphere(LEVEL).num_vertices), 14, 8, 4)
-    lift, group = random(4, 3, 7, seed=1), random(5, 4, 6, 7, seed=2)
+    before, after = turned_in_chart(random_values(1, 3, Icosphere(LEVEL).num_vertices), 14, 8, 4)
+    lift, group = random_values(4, 3, 7, seed=1), random_values(5, 4, 6, 7, seed=2)
 
     def network(values: Tensor) -> Tensor:
         return hex_group_conv2d(hex_lift_conv2d(values, lift).relu(), group)
@@ -63,13 +61,13 @@ def test_a_turned_picture_gives_turned_values_one_orientation_on() -> None:
 
 
 def test_each_orientation_is_a_plain_convolution() -> None:
-    values, lift = random(2, 3, 162), random(4, 3, 7, seed=1)
+    values, lift = random_values(2, 3, 162), random_values(4, 3, 7, seed=1)
     north = north_fraction(2, DOUBLE)
     found = hex_lift_conv2d(values, lift, north=north)
     torch.testing.assert_close(found[:, :, 0], hex_conv2d(values, lift, north=north))
     twice = lift[..., [4, 5, 0, 1, 2, 3, 6]]
     torch.testing.assert_close(found[:, :, 2], hex_conv2d(values, twice, north=north))
-    group = random(5, 4, 6, 7, seed=2)
+    group = random_values(5, 4, 6, 7, seed=2)
     first = hex_group_conv2d(found, group, stride=2, north=north)[:, :, 0]
     plain = hex_conv2d(found.flatten(1, 2), group.flatten(1, 2), stride=2, north=north)
     torch.testing.assert_close(first, plain)
@@ -79,17 +77,15 @@ def test_a_picture_turned_in_its_place_is_nearly_the_same_to_a_network() -> None
     """By 60° about a vertex of the belt: the largest of six orientations stays, what a plain network says does not."""
     ico = Icosphere(5, dtype=DOUBLE)
     axis = ico.vertices[(ico.vertices[:, 1].abs() + (ico.vertices[:, 2] - 1).abs()).argmin()]
-    angle = torch.pi / 3
-    cross = torch.linalg.cross(axis.expand(3, 3), torch.eye(3, dtype=DOUBLE)).T
-    turn = torch.eye(3, dtype=DOUBLE) + torch.sin(torch.tensor(angle)) * cross + 0.5 * cross @ cross
-    waves = random(6, 3, seed=3) * 9
+    turn = rotation_about(axis, torch.pi / 3)
+    waves = random_values(6, 3, seed=3) * 9
 
     def picture(directions: Tensor) -> Tensor:
         near = (30 * (directions @ axis - 1)).exp()
         return ((directions @ waves.T).sin().sum(-1) * near)[None, None]
 
     north = north_fraction(5, DOUBLE)
-    lift, group = random(8, 1, 7, seed=1), random(8, 8, 6, 7, seed=2)
+    lift, group = random_values(8, 1, 7, seed=1), random_values(8, 8, 6, 7, seed=2)
     lift = lift - lift.mean(-1, keepdim=True)  # sees edges, not brightness
 
     def in_six(values: Tensor) -> Tensor:

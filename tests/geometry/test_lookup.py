@@ -16,13 +16,10 @@ from sphericalvision.geometry.image_lookup import image_lookup, taps_across_edge
 from sphericalvision.geometry.lookup import Lookup, weighted_sums
 from sphericalvision.geometry.separable_lookup import SeparableLookup
 from sphericalvision.kernels import reference_kernels
+from tests.values import rand
 
 DOUBLE = torch.float64
 SIZE = (5, 8)
-
-
-def rand(*shape: int, seed: int = 0) -> Tensor:
-    return torch.rand(*shape, dtype=DOUBLE, generator=torch.Generator().manual_seed(seed))
 
 
 def positions(*shape: int) -> Tensor:

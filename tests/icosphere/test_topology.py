@@ -129,9 +129,3 @@ def test_golden_vertices_faces_and_charts(golden: Path) -> None:
         if f"drop_ne{level}" in unfold.files:
             n = 2**level
             assert np.array_equal(order[1:-1].view(5, 2 * n, n), unfold[f"drop_ne{level}"])
-
-
-def test_tables_are_not_saved_and_follow_the_dtype() -> None:
-    ico = Icosphere(2)
-    assert ico.state_dict() == {}
-    assert ico.double().vertices.dtype == ico.solid_angles.dtype == torch.float64

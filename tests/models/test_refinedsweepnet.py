@@ -44,6 +44,7 @@ from sphericalvision.sweep.appearance_at_depth import (
     appearance_at_depth,
 )
 from sphericalvision.sweep.ring_mean import ids_of_coarser_level
+from tests.laws.grid_laws import UP, rotation_about
 
 PRIOR = {
     "feature_channels": 4,
@@ -90,9 +91,7 @@ def test_starts_from_the_sum_of_costs_and_prior(net, frame):
 def test_turns_by_72_degrees_turn_the_answer(net, frame):
     """At every vertex, but for those whose two parents change order: one candidate is taken from the first of them."""
     images, rig, seen, _ = frame
-    angle = torch.tensor(2 * math.pi / 5)
-    cos, sin = angle.cos(), angle.sin()
-    turn = torch.tensor([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
+    turn = rotation_about(-UP, 2 * math.pi / 5).float()
     with torch.inference_mode():
         expected = net.predict(images, rig, seen)
         turned = net.predict(rotate_fivefold(images, 1), rig.rotated(rotation=turn), rotate_fivefold(seen, 1))

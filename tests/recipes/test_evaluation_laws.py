@@ -285,11 +285,8 @@ def test_words_are_the_methods_that_they_name(tmp_path: Path, monkeypatch: pytes
     for word in ("winner-takes-all", "semi-global-sweep", "rectified-sgbm"):
         method = make_method(word, 3, SCALE._replace(num_hypotheses=8))
         assert (method.name, method.label, method.seed) == (word, word, None)
-        assert (method.net.num_hypotheses, method.net.min_depth, method.net.training) == (
-            8,
-            SCALE.min_depth,
-            False,
-        )
+        net = method.net
+        assert (net.num_hypotheses, net.min_depth, net.training) == (8, SCALE.min_depth, False)
     monkeypatch.setattr(methods, "TRAINING_SCENES", 3)
     path = tmp_path / "constant-2-3.safetensors"
     made = make_method("constant", 2, folder=tmp_path)

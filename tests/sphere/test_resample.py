@@ -9,23 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
 from sphericalvision.cameras import FisheyeCamera
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Equirectangular, resample, resample_mask
+from tests.laws.grid_laws import UP, rotation_about
+from tests.sphere.test_equirectangular import smooth
 
 FISHEYE = FisheyeCamera.from_field_of_view((96, 128), math.radians(200))
-
-
-def smooth(d: Tensor) -> Tensor:
-    return torch.sin(2 * d[..., 0] + 0.5) * d[..., 1] + d[..., 2].square()
-
-
-def rotation_about_up(angle: float) -> Tensor:
-    """Turn about -y so that longitude grows: forward (+z) goes towards the right (+x)."""
-    c, s = math.cos(angle), math.sin(angle)
-    return torch.tensor([[c, 0, s], [0, 1, 0], [-s, 0, c]], dtype=torch.float64)
 
 
 def test_camera_onto_itself_is_the_identity_in_view() -> None:
@@ -44,7 +35,7 @@ def test_convention_rotation_turns_the_content(shift: int) -> None:
     """rotation is target_from_source: by whole columns to the right, a panorama rolls to the right."""
     grid = Equirectangular(8, 16, dtype=torch.float64)
     image = torch.rand(3, 8, 16, dtype=torch.float64)
-    turned = resample(image, grid, grid, rotation_about_up(shift * 2 * math.pi / 16))
+    turned = resample(image, grid, grid, rotation_about(-UP, shift * 2 * math.pi / 16))
     torch.testing.assert_close(turned, image.roll(shift, -1), rtol=0, atol=1e-12)
 
 
@@ -56,13 +47,13 @@ def test_every_pair_converges() -> None:
         "camera": FISHEYE.to(torch.float64),
     }
 
-    def directions(name: str) -> Tensor:
+    def directions(name: str) -> torch.Tensor:
         if name == "camera":
             camera = surfaces[name]
             return camera.unproject(camera.pixel_grid().flatten(0, 1)).directions.unflatten(0, (96, 128))
         return surfaces[name].directions
 
-    rotation = rotation_about_up(0.3)
+    rotation = rotation_about(-UP, 0.3)
     for source in surfaces:
         for target in surfaces:
             values = smooth(directions(source))[None]

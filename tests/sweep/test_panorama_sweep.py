@@ -9,19 +9,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.cameras import CameraRig
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.sweep import PanoramaSweep, inverse_depth_hypotheses
+from tests.sweep.test_sphere_sweep import random_rig
 
 DOUBLE = torch.float64
 SIZE = (40, 46)
-
-
-def random_rig(generator: torch.Generator, num_cameras: int = 3) -> CameraRig:
-    rig = ring_rig(num_cameras, image_size=SIZE, field_of_view=3.5).to(dtype=DOUBLE)
-    wobble = torch.randn(2, num_cameras, 3, dtype=DOUBLE, generator=generator)
-    shaken = rig.world_from_camera @ transform_from_axis_angle(0.3 * wobble[0], 0.05 * wobble[1])
-    return CameraRig(rig.cameras, shaken)
 
 
 def yaw(columns: int, width: int) -> Tensor:
@@ -33,7 +27,7 @@ def yaw(columns: int, width: int) -> Tensor:
 @pytest.mark.parametrize("stride", [1, 2, 3])
 def test_maps_of_the_pixels_give_the_pixels_of_the_points(generator: torch.Generator, stride: int) -> None:
     """Maps that hold their own pixels' coordinates in the image: the sweep must find each point's pixel exactly."""
-    rig = random_rig(generator)
+    rig = random_rig(generator, SIZE)
     sweep = PanoramaSweep((6, 12), num_hypotheses=5, min_depth=0.5, stride=stride)
     grid = next(iter(rig.cameras.values())).pixel_grid(DOUBLE).permute(2, 0, 1)
     ramps = grid[:, ::stride, ::stride].expand(1, 3, -1, -1, -1)
@@ -50,7 +44,7 @@ def test_maps_of_the_pixels_give_the_pixels_of_the_points(generator: torch.Gener
 
 
 def test_turning_rig_and_panorama_by_whole_pixels_rolls_the_sweep(generator: torch.Generator) -> None:
-    rig = random_rig(generator)
+    rig = random_rig(generator, SIZE)
     sweep = PanoramaSweep((8, 16), num_hypotheses=6, min_depth=0.5)
     maps = torch.randn(1, 3, 2, SIZE[0] // 2, SIZE[1] // 2, dtype=DOUBLE, generator=generator)
     for columns in (1, 5, 8):
@@ -59,7 +53,7 @@ def test_turning_rig_and_panorama_by_whole_pixels_rolls_the_sweep(generator: tor
 
 
 def test_masked_pixels_are_out_of_view(generator: torch.Generator) -> None:
-    rig = random_rig(generator)
+    rig = random_rig(generator, SIZE)
     upper = torch.zeros(SIZE, dtype=torch.bool)
     upper[:20] = True
     masked = CameraRig(rig.cameras, rig.world_from_camera, {"cam2": upper})
@@ -72,7 +66,7 @@ def test_masked_pixels_are_out_of_view(generator: torch.Generator) -> None:
 
 
 def test_gradients_reach_maps_and_poses(generator: torch.Generator) -> None:
-    rig = random_rig(generator)
+    rig = random_rig(generator, SIZE)
     poses = rig.world_from_camera.clone().requires_grad_()
     maps = torch.randn(1, 3, 1, SIZE[0] // 2, SIZE[1] // 2, dtype=DOUBLE, generator=generator)
     maps.requires_grad_()

@@ -19,9 +19,9 @@ from sphericalvision.sweep import SphereSweep, depth_from_index, inverse_depth_h
 DOUBLE = torch.float64
 
 
-def random_rig(generator: torch.Generator, num_cameras: int = 3, field_of_view: float = 3.5) -> CameraRig:
-    rig = ring_rig(num_cameras, field_of_view=field_of_view, image_size=(64, 64)).to(dtype=DOUBLE)
-    wobble = torch.randn(2, num_cameras, 3, dtype=DOUBLE, generator=generator)
+def random_rig(generator: torch.Generator, image_size: tuple[int, int] = (64, 64)) -> CameraRig:
+    rig = ring_rig(3, field_of_view=3.5, image_size=image_size).to(dtype=DOUBLE)
+    wobble = torch.randn(2, 3, 3, dtype=DOUBLE, generator=generator)
     shaken = rig.world_from_camera @ transform_from_axis_angle(0.3 * wobble[0], 0.05 * wobble[1])
     return CameraRig(rig.cameras, shaken)
 

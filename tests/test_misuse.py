@@ -495,6 +495,8 @@ photo_consistency_share(torch.zeros(1, 2562), IMAGES, rig(), 9, 0.5) -> index: S
 photo_consistency_share(torch.zeros(2, 642), torch.zeros(1, 4, 3, 10242), rig(), 9, 0.5) -> sphere_images: Shape
 photo_consistency_share(torch.zeros(1, 42), IMAGES, semi_global_tables(rig(), 9, 0.5, 2), 9, 0.5, SEEN) -> rig: Shape
 semi_global_sweep(IMAGES[:, :2], semi_global_tables(ring_rig(2), 9, 0.5, 3, substeps=1), 8, 0.5) -> rig: Argument
+semi_global_sweep(IMAGES[:, :1], rig(), 8, 0.5) -> sphere_images: Shape
+photo_consistency(IMAGES, rig(), 8, 0.0) -> min_depth: Argument
 semi_global_sweep(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, cost_level=4) -> level, cost_level: Argument
 semi_global_sweep(torch.zeros(1, 2, 3, 642)[0], ring_rig(2), 8, 0.5) -> sphere_images: Shape
 semi_global_sweep(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, substeps=0) -> substeps: Argument
@@ -521,6 +523,12 @@ net()(torch.zeros(1, 3, 3, 2562), rig().subset([0, 1, 2])) -> images: Shape
 net()(torch.zeros(1, 4, 3, 2562), None) -> rig: ArgumentType
 net()(torch.zeros(1, 4, 3, 2562), ring_rig(3)) -> features: Shape
 pretrained('resnet') -> name: Argument
+SphereClassifier('hex', 3)(VALUES) -> values: Shape
+SphereSegmenter('hex', 3)(VALUES) -> values: Shape
+SphereSegmenter('planar', 2) -> level: Argument
+SemiGlobalSweep(4, 8, depth_coarsening=5) -> depth_coarsening: Argument
+SemiGlobalSweep(3, 8).predict(IMAGES, rig(), hint=DepthHint(torch.ones(1, 42), torch.ones(1, 42))) -> hint: Argument
+depth_error(torch.ones(1, 42), torch.ones(1, 42), max_depth=0.0) -> max_depth: Argument
 save_weights(net(), 'net.pth') -> path: Argument
 save_weights(net(), 'net.safetensors', bits=12) -> bits: Argument
 ConstantDepth(3, 8, 0.5).fit(torch.ones(1, 1), torch.zeros(1, 1) > 0) -> inverse_depth: Argument
@@ -591,6 +599,7 @@ collate_samples([{'images': {'a': IMAGE}}, {'images': {'a': IMAGE[:, 1:]}}]) -> 
 random_rotations(-1) -> count: Argument
 Compose([max, min]) -> transforms: ArgumentType
 RandomYaw(Icosphere(1), p=2.0) -> p: Argument
+RandomYaw(Icosphere(1))({'normals': torch.rand(1, 2, 42)}) -> normals: Shape
 RandomYaw(Icosphere(1), angles='exact') -> angles: Argument
 RandomYaw(Icosphere(1))({'colour': torch.rand(1, 42)}) -> sample: Argument
 RandomYaw(Icosphere(1)).inverse(torch.rand(1, 3, 42)) -> params: Argument

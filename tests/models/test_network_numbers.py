@@ -47,8 +47,8 @@ def loss_of(net: Any) -> Any:
 
 
 @torch.no_grad()
-def classified(net: Any, *shape: int) -> Any:
-    return weighted(net)(rand(2, *shape, seed=7).float())
+def classified(net: Any, channels: int = 3) -> Any:
+    return weighted(net)(rand(2, channels, *net.grid.shape, seed=7).float())
 
 
 def refined(**options: Any) -> RefinedSweepNet:
@@ -76,8 +76,11 @@ predicted(OmniMVS(8, 0.5, 2, 3, (8, 32), norm="instance", circular=True, num_sca
 predicted(SemiGlobalSweep(3, 8, 0.4)) -> 3.4664
 predicted(WinnerTakesAll(3, 8, 0.4, rounds=1, subhypothesis=True)) -> 7.0308
 predicted(constant()), constant().index_at(rand(1, 42).float(), Icosphere(2).vertices) -> 2.9565
-classified(SphereClassifier("hex", 3, in_channels=2), 2, 642) -> -1.1300
-classified(SphereSegmenter("hex", 3), 3, 642) -> -1.4478
+classified(SphereClassifier("hex", 3, in_channels=2), 2) -> -1.1300
+classified(SphereClassifier("hexgroup", 3), 1), classified(SphereClassifier("crown", 3), 1) -> -2.4750
+classified(SphereSegmenter("hex", 3)) -> -1.4478
+classified(SphereSegmenter("planar", 3)), classified(SphereSegmenter("crown", 3)) -> 5.1161
+classified(SphereSegmenter("sphere", 3)), classified(SphereSegmenter("hexgroup", 3)) -> -4.2469
 solid_angle_mean(rand(2, 42), Icosphere(1).solid_angles.double(), rand(2, 42, seed=1) > 0.3) -> 0.0574
 depth_index_huber(9 * rand(2, 42), 9 * rand(2, 42, seed=1), rand(2, 42) > 0.3, 0.7, rand(42)) -> 0.9550
 """

@@ -181,6 +181,7 @@ def test_a_wrapped_network_is_the_one_inside(tmp_path: Path, wrapper: Any) -> No
     torch.save(content, tmp_path / "net.ckpt")
     for again in (load_weights(path), read_network(tmp_path / "net.ckpt")):
         assert all(torch.equal(a, b) for a, b in zip(again.parameters(), net.parameters(), strict=True))
+        assert not again.training
 
 
 def test_equal_weights_are_equal_files(tmp_path: Path) -> None:
@@ -236,7 +237,7 @@ def test_reference_checkpoint_without_settings(write_checkpoint: Writer) -> None
     assert load_reference_checkpoint(path, min_depth=0.3).min_depth == 0.3
 
 
-def test_broken_reference_checkpoints_name_the_key(write_checkpoint: Writer, tmp_path: Path) -> None:
+def test_broken_reference_checkpoints_name_the_key(write_checkpoint: Writer) -> None:
     good = in_reference_names(small_net())
     settings: dict[str, Any] = {"ndisp": 4, "min_depth": 0.3, "level": 3}
 
@@ -261,11 +262,6 @@ def test_broken_reference_checkpoints_name_the_key(write_checkpoint: Writer, tmp
         load_reference_checkpoint(write_checkpoint(weights=good))
     with pytest.raises(FileFormatError, match="level"):
         load_reference_checkpoint(write_checkpoint(state_dict=good, **settings | {"level": 0}))
-
-    garbage = tmp_path / "garbage.pth"
-    garbage.write_bytes(b"\x80\x02garbage")
-    with pytest.raises(FileFormatError, match=r"garbage\.pth"):
-        load_reference_checkpoint(garbage)
 
 
 def test_a_pickle_with_code_is_refused(tmp_path: Path) -> None:

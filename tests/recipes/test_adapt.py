@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -144,14 +145,9 @@ def test_a_scene_in_place_of_a_frame_has_the_scale_of_the_capture() -> None:
     scaled = CaptureSamples._scene([sample], 2.5)  # type: ignore[arg-type]
     torch.testing.assert_close(scaled["rig"].positions, 2.5 * sample["rig"].positions)
     assert scaled["inverse_depth"].tolist() == pytest.approx([0.2, 0.8])
-    sizes = [
-        camera.image_size for camera in _with_rows(ring_rig(2, image_size=(40, 62)), 20).cameras.values()
-    ]
-    assert sizes == [(20, 31)] * 2
-    assert next(iter(_with_rows(ring_rig(2, image_size=(40, 62)), 50).cameras.values())).image_size == (
-        40,
-        62,
-    )
+    rig = ring_rig(2, image_size=(40, 62))
+    sizes = [camera.image_size for rows in (20, 50) for camera in _with_rows(rig, rows).cameras.values()]
+    assert sizes == [(20, 31)] * 2 + [(40, 62)] * 2
 
 
 @pytest.mark.parametrize(("number", "every", "judged"), [(12, 5, [2, 7]), (2, 5, [1]), (6, 2, [1, 3, 5])])
@@ -159,6 +155,15 @@ def test_every_so_many_frames_judge(number: int, every: int, judged: list[int]) 
     data = CaptureDataModule.__new__(CaptureDataModule)
     data.names, data.held_out_every = [str(k) for k in range(number)], every
     assert data.held_out == [str(k) for k in judged]
+
+
+@pytest.mark.parametrize(("capture", "expected"), [(0.0, 0.2), (1.0, 1.0)])
+def test_frames_of_a_grey_capture_stay_grey(capture: float, expected: float) -> None:
+    """Of one with colours a share has none, as the world says."""
+    data, net = CaptureDataModule.__new__(CaptureDataModule), SimpleNamespace(level=3, min_depth=0.55)
+    data.names, data.held_out_every, data.labelled, data.rendered = [], 2, {}, 0.0
+    vars(data).update(net=net, grey=capture, world=REHEARSAL, rig=KNOCKED, preparation=AS_IT_IS)
+    assert data.dataset("train").disturbed.faults.grey == expected  # type: ignore[attr-defined]
 
 
 def test_frames_are_of_the_whole_capture(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
+from sphericalvision.core import ArgumentError
 from sphericalvision.data import SampleView
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.recipes.app.rigs import make_corner_rig
@@ -175,6 +176,8 @@ def test_constant_maps_are_medians_of_vertices_and_of_all() -> None:
     median = torch.where(valid[3], depth[2], depth[1])
     torch.testing.assert_close(index[0], 11 * 0.9 / median)
     torch.testing.assert_close(index[1], (11 * 0.9 / depth[valid].median()).expand(42))
+    with pytest.raises(ArgumentError, match=r"^data: .* valid depth"):
+        baselines(Scale(12, 0.9), 3, [{"inverse_depth": 1 / depth, "valid": ~valid & valid}])
 
 
 @pytest.mark.parametrize(

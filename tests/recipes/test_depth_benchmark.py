@@ -195,7 +195,7 @@ def test_it_is_killed_and_goes_on(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scene_cache: str
 ) -> None:
     monkeypatch.setattr(methods, "TRAINING_SCENES", 3)
-    words = (*WORDS, f"cache_dir={scene_cache}")
+    words = (*WORDS, f"cache_dir={scene_cache}", "max_depth_m=7")
     asked: list[tuple[str, str]] = []
     answer = Method.__call__
 
@@ -215,6 +215,7 @@ def test_it_is_killed_and_goes_on(
     first = (tmp_path / "out/benchmark.md").read_text()
     assert first.count("| semi-global-sweep |") >= 3
     assert "| tilt_45 | " in first
+    assert first.count(", within 7 m, ") == 2
     assert result_of(tmp_path / "out", "constant")["num_frames"] == 2
     for name in ("room", "tilt_0", "tilt_45"):
         assert read_image(tmp_path / f"out/pages/{name}.png").std() > 0.05

@@ -15,7 +15,7 @@ import torch
 
 from sphericalvision.cameras import EquirectangularCamera
 from sphericalvision.core import ArgumentError
-from sphericalvision.data import OmniStereoDataset, collate_samples
+from sphericalvision.data import OmniStereoDataset, SampleView, collate_samples
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image
 from sphericalvision.models import (
@@ -28,6 +28,7 @@ from sphericalvision.models import (
 )
 from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.recipes.app.cli import build
+from sphericalvision.recipes.datamodules.depth_data_module import DepthDataModule
 from sphericalvision.recipes.datamodules.entries import images_of, truth_of
 from sphericalvision.recipes.datamodules.scenes import SceneDataModule
 from sphericalvision.recipes.training.callbacks import DepthPanels
@@ -83,10 +84,21 @@ def test_one_data_module_serves_both_networks() -> None:
     first, second = (fisheye_scenes(*words).dataset("val")[1] for words in (sphere, panorama))
     assert first["frame"] == second["frame"] == "floating-01000001"
     assert first["images"].shape == (4, 3, 642)
-    expected = {"fisheye", "fisheye_seen", "panorama_inverse_depth", "panorama_valid", "rig", "frame"}
-    assert set(second) == expected
     assert second["fisheye"].shape == (4, 3, 32, 32)
     assert second["panorama_inverse_depth"].shape == (20, 40)
+
+
+def test_samples_are_those_that_a_network_takes() -> None:
+    sphere, panorama = WinnerTakesAll(4, 4, 0.7), OmniMVS(8, 0.5, 2, 3, (8, 32), num_scales=2)
+    for net, more, expected in (
+        (sphere, (), SampleView(4, 2)),
+        (sphere, ("panorama",), SampleView(4, 2, panorama=(80, 160))),
+        (panorama, (), SampleView(images=True, panorama=(8, 32))),
+        (panorama, ("sphere",), SampleView(5, 3, True, (8, 32))),
+    ):
+        data = DepthDataModule(batch_size=1)
+        data.bind_network(net, *more)
+        assert (data.view, data.min_depth) == (expected, net.min_depth)
 
 
 PAGE = Path(__file__).parents[2] / "docs/tutorials/own-data.md"

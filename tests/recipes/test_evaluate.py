@@ -15,10 +15,12 @@ from torch import nn
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
+from sphericalvision.core import ArgumentError
 from sphericalvision.data import SampleView, ToSphere, collate_samples
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models import DepthNetwork, SemiGlobalSweep, WinnerTakesAll
 from sphericalvision.models.depth_network import DepthEstimate
+from sphericalvision.recipes.commands.evaluate import _masks
 from sphericalvision.recipes.evaluation.loop import (
     SampleFrames,
     VertexErrors,
@@ -125,6 +127,12 @@ def test_masks_reach_the_network(frames: dict[str, Any]) -> None:
         return CameraRig(rig.cameras, rig.world_from_camera, masks)
 
     assert (as_used(NET, frames) - as_used(NET, frames, masked=masked)).abs().mean() > 0.1
+
+
+def test_a_body_is_looked_for_in_the_frames_of_one_rig(frames: dict[str, Any]) -> None:
+    rig = frames["rig"].select(0)
+    with pytest.raises(ArgumentError, match=r"^masks: .* one rig"):
+        _masks([frames, frames | {"rig": CameraRig.stack([rig, rig.rotated(tilt=0.1)])}])
 
 
 def in_batches(*batches: dict[str, Any]) -> SampleFrames:

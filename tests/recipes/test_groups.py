@@ -98,10 +98,14 @@ def test_a_network_of_ones_own_is_a_file_and_a_new_hyperparameter_two_edits(
     monkeypatch.setattr("sys.path", [*sys.path])
     monkeypatch.setenv("PYTHONPATH", "")
     own, folder = ("--config-dir", str(tmp_path / "mine")), tmp_path / "run/checkpoints"
-    keys = "level: 7\nnum_hypotheses: 32\nfeature_channels: 32\nsquash: 2.5\n"
+    keys = "level: 7\nnum_hypotheses: 32\nfeature_channels: 32\nsquash: 2.5  # how flat\n"
     (tmp_path / "mine/model").mkdir(parents=True)
     (tmp_path / "mine/own_network.py").write_text(OWN_NETWORK)
     (tmp_path / "mine/model/squashed.yaml").write_text(f"_target_: own_network.Squashed\n{keys}")
+    help_lines = run("train", *own, "model=squashed", "--help").splitlines()
+    assert [line.split() for line in help_lines if "squash=" in line] == [
+        ["model.squash=2.5", *["#", "how", "flat"]]
+    ]
     words = (*tiny_training, "model=squashed", "model.squash=3.5", "trainer.max_steps=1", "logger=none")
     run("train", *own, *words, "callbacks.panels=null", "output=run")
     for net in (load_weights(folder / "last.safetensors"), read_network(folder / "last.ckpt")):

@@ -227,15 +227,16 @@ def test_labels_turn_with_the_room(network: str) -> None:
 
 @pytest.mark.parametrize("orientation", ORIENTATIONS)
 def test_rooms_are_seen_turned(orientation: str) -> None:
-    """Something in direction d of the room is at R d of the sample."""
+    """Something in direction d of the room is at R d of the sample, and where nothing is, behind a window, is -1."""
     grid = Icosphere(3)
-    sample = LabelledRooms(7, 1, grid, orientation)[0]
-    turn = orientation_rotation(orientation, 7)
+    sample = LabelledRooms(0, 1, grid, orientation)[0]
+    turn = orientation_rotation(orientation, 0)
     torch.testing.assert_close(turn @ turn.mT, torch.eye(3), atol=1e-5, rtol=0)
     inverse = torch.linalg.inv(turn)
     seen = torch.stack([inverse @ direction for direction in grid.directions.float()])
-    expected = ray_labels(make_scene("room", 7), torch.zeros(3), seen)
+    expected = ray_labels(make_scene("room", 0), torch.zeros(3), seen)
     assert (sample["label"] == expected).float().mean() > 0.99
+    assert sample["label"].min() == -1
     assert sample["values"].abs().max() <= 1
     down = math.degrees(math.acos(float((turn @ torch.tensor([0.0, 1.0, 0.0]))[1].clamp(-1, 1))))
     tilt = ORIENTATIONS[orientation]

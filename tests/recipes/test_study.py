@@ -3,19 +3,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import html
 import json
 import math
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from hydra import compose, initialize_config_module
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.data import write_omnistereo
@@ -33,6 +36,7 @@ from sphericalvision.recipes.evaluation.records import write_json
 from sphericalvision.recipes.evaluation.tables import Table, save_report
 from sphericalvision.recipes.study.models import study_models
 from sphericalvision.recipes.study.tilted_views import View, view_frames
+from sphericalvision.recipes.training import stages
 from tests.recipes.tiny import Run, composed, typed
 from tests.worlds import recorded_frames
 
@@ -258,6 +262,18 @@ def test_a_training_that_dies_is_told_and_taken_up_again(
     trainer.error = None
     run("study", *words, *ONLY)
     assert trainer.trained == ["icosweepnet/seed0"] * 2
+
+
+@pytest.mark.parametrize("status", [0, 1, 143])
+def test_the_status_of_a_training_in_several_processes_is_passed_on(
+    monkeypatch: pytest.MonkeyPatch, status: int
+) -> None:
+    commands: list[list[str]] = []
+    process = SimpleNamespace(wait=lambda: status)
+    monkeypatch.setattr(stages.subprocess, "Popen", lambda words: commands.append(words) or process)
+    with pytest.raises(SystemExit, match=f"^{status}$") if status else contextlib.nullcontext():
+        stages.run_training(["seed=1"], OmegaConf.create({"trainer": {"devices": 2}}))
+    assert commands == [[sys.executable, "-m", "sphericalvision.recipes.train", "seed=1"]]
 
 
 def test_weights_that_are_there_are_taken_by_seed(

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision import sphere
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import (
     Healpix,
@@ -47,6 +47,12 @@ def test_contract(name: str) -> None:
     assert (grid.solid_angles >= 0).all()
     torch.testing.assert_close(grid.directions.norm(dim=-1), torch.ones(grid.shape, dtype=DOUBLE))
     assert grid.state_dict() == {}
+    values = torch.ones(1, *(size + 1 for size in grid.shape))
+    wrong = {"image": values, "padded": values}
+    wrong |= dict.fromkeys(("contains", "face_coordinates", "locate", "nearest"), torch.ones(5, 2))
+    for method in wrong.keys() & {*dir(grid)}:
+        with pytest.raises(ShapeError, match=r"^(values|directions): "):
+            getattr(grid, method)(wrong[method])
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -484,9 +484,8 @@ class CameraRig:
             ArgumentError: the rig is a batch, or a camera of one's own model is not registered, so that it could not
                 be read back.
         """
-        from sphericalvision.cameras.native_files import (
-            write_rig,  # files and images, which a network does not need
-        )
+        # Files and images, which a network does not need
+        from sphericalvision.cameras.native_files import write_rig
 
         check_single(self)
         write_rig(path, self.cameras, self.in_world().world_from_camera, self.masks)

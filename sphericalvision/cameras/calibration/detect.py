@@ -56,10 +56,8 @@ def read_rig(
         >>> rig.names, round(float(rig.radius), 3)
         (['cam1', 'cam2', 'cam3'], 0.1)
     """
-    check_type("path", path, (str, Path))
-    path, calibration = _contents(
-        Path(path), Options(max_angle, dtype, translation_unit, image_size, rig=True)
-    )
+    options = Options(max_angle, dtype, translation_unit, image_size, rig=True)
+    path, calibration = _contents(path, options)
     return calibration.rig(path, dtype)
 
 
@@ -78,9 +76,8 @@ def read_cameras(
         >>> {name: type(camera).__name__ for name, camera in read_cameras("rig.yaml").items()}["cam2"]
         'FisheyeCamera'
     """
-    check_type("path", path, (str, Path))
     options = Options(max_angle, dtype, "m", image_size)  # positions are not looked at, so any unit will do
-    return _contents(Path(path), options)[1].cast(dtype)
+    return _contents(path, options)[1].cast(dtype)
 
 
 def read_camera(
@@ -119,13 +116,14 @@ def read_camera(
     return cameras[name]
 
 
-def _contents(path: Path, options: Options) -> tuple[Path, Contents]:
+def _contents(path: str | Path, options: Options) -> tuple[Path, Contents]:
     """The file that was read, and what it holds."""
+    check_type("path", path, (str, Path))
     if options.max_angle is not None and not 0 < float(options.max_angle) < 3.1416:
         raise ArgumentError(
             f"max_angle: expected radians above 0 up to π, got {options.max_angle}; are these degrees?"
         )
-    path, *others = _calibration_files(path)
+    path, *others = _calibration_files(Path(path))
     if others and path.is_dir():
         calibration = joined([(part, _read(part, options)) for part in others])
     else:

@@ -217,8 +217,11 @@ class OCamCamera(Camera):
 
     def exact(self) -> OCamCamera:
         """This camera with the exact inverse of its direct polynomial in place of the inverse polynomial."""
+        return self._with_inverse(None)
+
+    def _with_inverse(self, inverse: Tensor | None) -> OCamCamera:
         return OCamCamera(
-            self.polynomial, None, self.principal_point, self.affine, self.image_size, self.max_angle
+            self.polynomial, inverse, self.principal_point, self.affine, self.image_size, self.max_angle
         )
 
     def _scaled(self, scale: tuple[float, float]) -> dict[str, Tensor]:

@@ -70,14 +70,7 @@ def fit_inverse_polynomial(
     points = directions_around_axis(steps * widest, azimuth[::15, None])
     expected = exact.project(points)
     for number in [degree] if degree is not None else range(1, _HIGHEST_DEGREE + 1):
-        fitted = OCamCamera(
-            camera.polynomial,
-            fit_inverse(angle, radius, number).to(camera.polynomial),
-            camera.principal_point,
-            camera.affine,
-            camera.image_size,
-            camera.max_angle,
-        )
+        fitted = camera._with_inverse(fit_inverse(angle, radius, number).to(camera.polynomial))
         gap = (fitted.project(points).pixels - expected.pixels).norm(dim=-1)
         residual = float(gap[expected.valid].max())
         if residual < best.residual:

@@ -76,14 +76,20 @@ def with_size(read: Callable[..., Any], path: Path, **known: Any) -> Any:
         return read(path, image_size=(240, 320), **known)
 
 
-def read_everything(path: Path) -> None:
-    """A sample as cameras and, unless it has no poses, as a rig."""
-    with_size(read_cameras, path, max_angle=1.0)
+def read_sample(path: Path) -> Any:
+    """The rig of a sample or, if it has no poses, its cameras."""
     try:
-        with_size(read_rig, path, max_angle=1.0, translation_unit=unit_of(path))
+        return with_size(read_rig, path, max_angle=1.0, translation_unit=unit_of(path))
     except FileFormatError as error:
         if "without poses" not in str(error):
             raise
+        return with_size(read_cameras, path, max_angle=1.0)
+
+
+def read_everything(path: Path) -> None:
+    """A sample as cameras, and as a rig if it is one."""
+    with_size(read_cameras, path, max_angle=1.0)
+    read_sample(path)
 
 
 def double(*values: Any) -> list[Tensor]:

@@ -12,11 +12,8 @@ from kornia.image import ImageSize
 from kornia.sensors.camera import CameraModel, CameraModelType
 
 from sphericalvision.cameras import (
-    BrownConradyCamera,
-    Camera,
     CameraModule,
     EquirectangularCamera,
-    KannalaBrandtCamera,
     PinholeCamera,
     depth_from_z,
     from_kornia,
@@ -31,19 +28,11 @@ from sphericalvision.geometry import transform_from_axis_angle, transform_points
 from tests.laws.cameras import MODELS
 
 SIZE = (480, 640)
-LENSES: list[Camera] = [
-    PinholeCamera([500.0, 510.0], [319.5, 239.5], SIZE).to(torch.float64),
-    BrownConradyCamera([500.0, 510.0], [319.5, 239.5], [-0.1, 0.02, 1e-3, -2e-3, 0.01], SIZE).to(
-        torch.float64
-    ),
-    KannalaBrandtCamera([300.0, 310.0], [319.5, 239.5], [0.01, -0.02, 0.003, 0.0], SIZE, 1.2).to(
-        torch.float64
-    ),
-]
 
 
-@pytest.mark.parametrize("camera", LENSES, ids=lambda camera: camera.model)
-def test_kornias_model_projects_as_ours(camera: Camera) -> None:
+@pytest.mark.parametrize("name", ["pinhole", "brown conrady", "kannala brandt"])
+def test_kornias_model_projects_as_ours(name: str) -> None:
+    camera = MODELS[name](1.0).to(torch.float64)
     points = torch.tensor([[0.1, 0.2, 1.0], [-0.3, 0.25, 1.5], [0.5, -0.4, 2.0]], dtype=torch.float64)
     theirs = to_kornia(camera)
     assert isinstance(theirs, CameraModel)

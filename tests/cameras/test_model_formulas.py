@@ -46,6 +46,7 @@ from tests.cameras.calibration_samples import (
     thin_prism,
 )
 from tests.laws.camera_laws import circle
+from tests.laws.cameras import OPENCV
 
 FOCAL, CENTER, SIZE = [100.0, 110.0], [499.5, 299.5], (600, 1000)
 PLANE = (*FOCAL, *CENTER)
@@ -53,8 +54,6 @@ MATRIX = matrix(*PLANE)
 KB4 = [0.0034823894, 0.0007150348, -0.0020532361, 0.0002029367]
 K = [0.01, 0.02, -0.003, 0.004, -0.0005, 0.0001]
 TERMS = [0.0031, -0.0042, 0.0051, -0.0006, 0.0072, 0.0008]
-OPENCV = [-0.28, 0.07, 1.1e-3, -7e-4, 0.01, 0.05, -0.02, 3e-3, 1e-3, -5e-4, 8e-4, 2e-4, 0.03, -0.02]
-"""k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 τx τy."""
 MEI = [-0.1, 0.02, 1e-3, -7e-4]
 KITTI = (2.2134047507854890, [1.6798235660113681e-02, 1.6548773243373522, 0.0, 0.0, 0.0])
 """KITTI-360, image_02: a lens of 185°, without its tangential distortion."""

@@ -92,7 +92,8 @@ def _thin_prism(s: float, composition: str, distortion: list[float]) -> Camera:
     )
 
 
-OPENCV_14 = [-0.28, 0.07, 1.1e-3, -7e-4, 0.01, 0.05, -0.02, 3e-3, 1e-3, -5e-4, 8e-4, 2e-4, 0.03, -0.02]
+OPENCV = [-0.28, 0.07, 1.1e-3, -7e-4, 0.01, 0.05, -0.02, 3e-3, 1e-3, -5e-4, 8e-4, 2e-4, 0.03, -0.02]
+"""k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 τx τy."""
 CAMERAS = [
     CameraCase("equidistant", _fisheye("equidistant", 110), traced=True),
     CameraCase("equisolid", _fisheye("equisolid", 120)),
@@ -194,7 +195,7 @@ CAMERAS = [
     ),
     CameraCase(
         "brown conrady, 14, skew",
-        lambda s: BrownConradyCamera([60.0 * s, 61.0], CENTER, OPENCV_14, SIZE, math.radians(42), 0.6 * s),
+        lambda s: BrownConradyCamera([60.0 * s, 61.0], CENTER, OPENCV, SIZE, math.radians(42), 0.6 * s),
     ),
     CameraCase(
         "unified", lambda s: UnifiedCamera([48.0 * s, 47.0], CENTER, 0.9, None, SIZE, math.radians(110))

@@ -98,14 +98,10 @@ CAMERAS = [
     CameraCase("equidistant", _fisheye("equidistant", 110), traced=True),
     CameraCase("equisolid", _fisheye("equisolid", 120)),
     CameraCase("stereographic", _fisheye("stereographic", 95)),
-    CameraCase(
-        "orthographic",
-        _fisheye("orthographic", 85, 44.0),
-    ),
+    CameraCase("orthographic", _fisheye("orthographic", 85, 44.0)),
     CameraCase("equirectangular", lambda s: EquirectangularCamera((48, 96)), traced=True),
     CameraCase(
-        "corner",
-        lambda s: EquirectangularCamera((40, 90), latitudes=(-1.3, 0.9), longitudes=(-1.5, 2.6)),
+        "corner", lambda s: EquirectangularCamera((40, 90), latitudes=(-1.3, 0.9), longitudes=(-1.5, 2.6))
     ),
     CameraCase(
         "from behind",

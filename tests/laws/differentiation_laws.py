@@ -50,13 +50,10 @@ def _function(camera: Camera, verb: str) -> Callable[..., Tensor]:
 
 def law_second_derivatives_are_right(camera: Camera, case: CameraCase) -> None:
     """Finite differences of values and of first derivatives, by points, pixels and intrinsics, in float64."""
-    camera, on_axis = camera.to(torch.float64), case.smooth_on_axis
-    points = (
-        telling_directions(camera, on_axis)
-        * torch.tensor([[1.0], [2.5]], dtype=torch.float64).repeat(3, 1)[
-            : len(telling_directions(camera, on_axis))
-        ]
-    )
+    camera = camera.to(torch.float64)
+    directions = telling_directions(camera, case.smooth_on_axis)
+    lengths = torch.tensor([[1.0], [2.5]], dtype=torch.float64).repeat(3, 1)
+    points = directions * lengths[: len(directions)]
     pixels = camera.project(points).pixels
     changes = [torch.zeros_like(tensor, requires_grad=True) for tensor in intrinsics_of(camera)[1]]
     for verb, values in zip(BOTH, (points, pixels), strict=True):

@@ -93,10 +93,8 @@ def _read(path: Path, label: str, labels: Sequence[str], names: Mapping[str, str
         if unit is None and len(set(listed) - {None}) > len(column) / 2:  # images, or lines, may be missing
             images, is_named = listed, True
             continue
-        missing = times.count(None) * has_all
-        if (unit or not are_counts(column)) and len({*times} - {None}) + missing == len(
-            times
-        ):  # of their own
+        has_own = len({*times} - {None}) + times.count(None) * has_all == len(times)
+        if has_own and (unit or not are_counts(column)):
             clocks.insert(0 if has_all and owner else len(clocks), times)
     pairs = zip(images, clocks[0], strict=True) if clocks and is_named else ()
     return {image: time for image, time in pairs if image}

@@ -37,13 +37,8 @@ class LiveCameras:
         with ExitStack() as stack:
             cameras = self._open(stack)
             self.rate = next(iter(cameras.values())).get(cv2.CAP_PROP_FPS) or 0.0
-            self._sizes = {
-                name: (
-                    int(camera.get(cv2.CAP_PROP_FRAME_HEIGHT)),
-                    int(camera.get(cv2.CAP_PROP_FRAME_WIDTH)),
-                )
-                for name, camera in cameras.items()
-            }
+            height, width = cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_WIDTH
+            self._sizes = {name: (int(c.get(height)), int(c.get(width))) for name, c in cameras.items()}
 
     def _open(self, stack: ExitStack) -> dict[str, cv2.VideoCapture]:
         cameras = {}

@@ -14,8 +14,6 @@ MAX_UNTIMED = 0.1
 stamp now and then loses that image; one that never sets it, or sets the same one, must not lose all others."""
 WHOLE_SECONDS = 1.5
 """By which times of one moment may differ that cameras write in whole seconds."""
-FREE_RUNNING = 0.25
-"""By which times of one moment may differ of cameras of which each counts its own intervals."""
 
 Images = Mapping[str, Mapping[str, Any]]
 """Camera -> name of an image -> what its source reads it by."""

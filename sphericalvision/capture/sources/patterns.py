@@ -10,18 +10,14 @@ from collections.abc import Container, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from sphericalvision.capture.sources.listings import listed_clock
-from sphericalvision.capture.sources.moments import (
-    FREE_RUNNING,
-    WHOLE_SECONDS,
-    Clock,
-    Moments,
-    pair_moments,
-)
+from sphericalvision.capture.sources.moments import WHOLE_SECONDS, Clock, Moments, pair_moments
 from sphericalvision.core import ArgumentError, MissingFileError
 from sphericalvision.io.images import read_exif_time
 from sphericalvision.io.times import SAME_TIME, are_counts, in_order, seconds
 
 EXAMPLE = "'capture/cam{camera}/{frame:05d}.png'"
+FREE_RUNNING = 0.25
+"""Seconds by which pictures of one moment may differ that cameras take each by its own interval."""
 _NUMBER = re.compile(r"^-?\d+(?:\.\d+)*|\d+(?:\.\d+)*")
 """In a frame's name; a time with decimals is one."""
 
@@ -165,11 +161,8 @@ def _clocks(files: Mapping[str, Mapping[str, Path]], labels: Mapping[str, str]) 
     times = dict(zip(names, seconds(names), strict=True))
     if all(time is None for time in times.values()):
         return []
-    return [
-        Clock(
-            "the times in their names", {c: {name: times[name] for name in own} for c, own in files.items()}
-        )
-    ]
+    timed = {camera: {name: times[name] for name in own} for camera, own in files.items()}
+    return [Clock("the times in their names", timed)]
 
 
 def find_labels(

@@ -27,15 +27,9 @@ from sphericalvision.io.times import SAME_TIME
 
 VIDEO_SUFFIXES = (
     *(".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv"),
-    *(
-        ".insv",
-        ".360",
-        ".lrv",
-        ".mts",
-        ".m2ts",
-        ".ts",
-    ),  # of 360 cameras and camcorders, maybe of several streams
+    *(".insv", ".360", ".lrv", ".mts", ".m2ts", ".ts"),
 )
+"""The last ones are of 360 cameras and camcorders, maybe of several streams."""
 MAX_MISSING = 2**20
 """Pictures that a header may count behind the end of a file; nine hours of them. A damaged one counts billions."""
 Picture = npt.NDArray[np.uint8]

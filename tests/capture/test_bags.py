@@ -221,6 +221,34 @@ def test_stamps_of_clocks_of_their_own_are_not_compared(
         np.testing.assert_array_equal(first, second)
 
 
+def test_stamps_of_another_unit_do_not_count(tmp_path: Path) -> None:
+    """One driver writes microseconds where nanoseconds belong: images of a second are in a thousandth of it."""
+    messages = [
+        (f"/{name}/image", time // 10**9 * 10**9 + time % 10**9 // divisor, time, np.full_like(PICTURE, step))
+        for step in range(40)
+        for name, divisor, lost in zip(RIG.names, (1, 1000), (12, 25), strict=True)
+        if step != lost and (time := TIME + step * 10**8 + 10**7)
+    ]
+    with pytest.warns(UserWarning, match=r"of cam2 0\.1 s apart"):
+        bag = open_source(str(write_bag(tmp_path / "run", messages)), RIG)
+    frames = list(bag.frames(Selection(), lambda _: True))
+    assert len(frames) == 38
+    assert all(len({int(image.max()) for image in (frame.images or {}).values()}) == 1 for frame in frames)
+
+
+def test_a_file_that_metadata_does_not_name_is_a_bag_of_its_own(tmp_path: Path) -> None:
+    first, second = (
+        of_topics(
+            tmp_path / str(level), {f"/{name}/image": np.full_like(PICTURE, level) for name in RIG.names}
+        )
+        for level in (1, 2)
+    )
+    stray = shutil.copy(second / "2.mcap", first / "stray.mcap")
+    assert first_image(stray).max() == 2
+    with pytest.warns(UserWarning, match=r"left out are stray\.mcap"):
+        assert first_image(first).max() == 1
+
+
 @pytest.mark.parametrize(("count", "suffix"), [(1, "/compressed"), (2, ""), (4, "")])
 def test_of_raw_and_compressed_pictures_those_count_that_were_recorded(
     tmp_path: Path, count: int, suffix: str

@@ -399,6 +399,7 @@ CANDIDATES = {  # what lies in a folder, and what of it is meant; None where tha
     "images and depth of times": (["{camera}/1700000000.1.png", "{camera}/depth-1700000000.1.png"], None),
     "numbers with and without zeros": (["{camera}/1.png", "{camera}/001.png"], None),
     "one camera's other pictures": (["{camera}/1.jpg", "cam1/1.png"], ".jpg"),
+    "numbers in front": (["1_{camera}.png"], "1_"),
     "another way to write a suffix": (["{camera}/1.jpg", "cam1/2.JPG"], ".jpg"),
     "pictures next to folders of them": (["{camera}/1.png", "{camera}_1.png"], None),
     "two videos": (["a.mp4", "b.mp4"], None),

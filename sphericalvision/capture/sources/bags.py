@@ -27,6 +27,7 @@ from sphericalvision.core import (
     SphericalVisionError,
     first_line,
 )
+from sphericalvision.io.files import read_text
 from sphericalvision.io.images import decode_image
 from sphericalvision.io.times import SAME_TIME
 
@@ -50,6 +51,8 @@ DEPTH = re.compile("(16|32|64)|.*compressedDepth")
 """Encoding or format of images whose values are no brightness."""
 STEADY = 0.3
 """Seconds by which the time from a stamp to its receipt may vary."""
+FASTER = 10
+"""How many times as fast images are never taken as they are received."""
 FEWEST_FOR_DRIFT = 20
 """Images of a third of a recording, below which their delays say nothing about clocks."""
 MAX_DELAY = 10.0
@@ -89,8 +92,13 @@ def bag_of(path: Path) -> Path | None:
         )
     if find_spec("rosbags") is None:
         raise ArgumentError(f"images: {path} is a bag, which rosbags reads: pip install rosbags")
-    is_part = ".bag" not in path.suffixes and not is_folder and (path.parent / "metadata.yaml").is_file()
-    return path.parent if is_part else path
+    return path.parent if is_part(path) else path
+
+
+def is_part(file: Path) -> bool:
+    """Whether ``metadata.yaml`` next to a file of a bag names it."""
+    listing = file.parent / "metadata.yaml"
+    return listing.is_file() and file.name.removesuffix(".zstd") in read_text(listing)
 
 
 class Bag(Recording):
@@ -138,8 +146,8 @@ class Bag(Recording):
             ("the times at which the bag received them", received),
         ]
         sentences = []
-        if (gap := _between_clocks(stamps, received)) is not None:
-            sentences.append(f"{clocks.pop(0)[0]} are of clocks {gap}: {clocks[0][0]} count")
+        if (fault := _fault_of_stamps(stamps, received)) is not None:
+            sentences.append(f"{clocks.pop(0)[0]} are {fault}: {clocks[0][0]} count")
         moments = pair_moments(
             messages,
             [
@@ -149,7 +157,10 @@ class Bag(Recording):
             tolerance,
             names="their numbers",
         )
-        if gap is None and moments.clock == 0 and (drift := _drift(stamps, received, tolerance)):
+        parts = [file for file in path.glob("*") if file.name.lower().endswith(SUFFIXES)]
+        if unnamed := sorted(file.name for file in parts if not is_part(file)):
+            sentences.append(f"left out are {', '.join(unnamed)}, which metadata.yaml does not name")
+        if fault is None and moments.clock == 0 and (drift := _drift(stamps, received, tolerance)):
             sentences.append(drift)
         moments.warnings[:0] = [f"images: {path}: {sentence}" for sentence in sentences]
         for (name, fault), count in faults.items():
@@ -184,8 +195,9 @@ class Bag(Recording):
             raise
         except Exception as error:
             raise FileFormatError(
-                f"{self.path}: rosbags cannot read this bag ({first_line(error)}); it is damaged or was cut, copy it "
-                "again, or repair it with 'rosbag reindex', 'ros2 bag reindex' or 'mcap recover'"
+                f"{self.path}: rosbags cannot read this bag ({first_line(error)}). If it is damaged or was cut, copy "
+                "it again, or repair it with 'rosbag reindex', 'ros2 bag reindex' or 'mcap recover'; channels that "
+                "are not of ROS, as of json or protobuf, are taken out by 'mcap filter'"
             ) from None
 
     def _pictured(self, reader: Any) -> dict[str, int]:
@@ -285,14 +297,22 @@ class Bag(Recording):
         return _picture_of(content, f"{self.path}: {topic}")
 
 
-def _between_clocks(
+def _fault_of_stamps(
     stamps: Mapping[str, Mapping[str, int | None]], received: Mapping[str, Mapping[str, int]]
 ) -> str | None:
-    """How far apart the clocks of cameras are, which count from when each was switched on; None of one clock.
+    """Why stamps are no times of one clock: of another unit, or of clocks that count from when each was switched on.
 
+    Stamps that are far closer than the receipts are of another unit, as microseconds that stand for nanoseconds.
     Each camera's images are received a steady time after their stamps, and not the same time. On a slow way that is up
     to ``MAX_DELAY`` with one clock, too; what comes in bursts tells nothing.
     """
+    for camera in stamps:
+        step, gap = (
+            float(np.median([0, *np.diff(sorted(filter(None, times[camera].values())))])) / 1e9
+            for times in (stamps, received)
+        )
+        if 0 < FASTER * step < gap:
+            return f"{step:.2g} s apart, where the bag received images of {camera} {gap:.2g} s apart"
     medians = {}
     for camera, delays in _delays(stamps, received).items():
         if not len(delays) or np.ptp(np.quantile(delays, [0.1, 0.9])) > STEADY:
@@ -301,7 +321,7 @@ def _between_clocks(
     first, last = (choose(medians, key=medians.__getitem__) for choose in (min, max))
     if medians[last] - medians[first] <= STEADY or 0 <= medians[first] <= medians[last] <= MAX_DELAY:
         return None
-    return f"{medians[last] - medians[first]:.3g} s apart ({first} and {last})"
+    return f"of clocks {medians[last] - medians[first]:.3g} s apart ({first} and {last})"
 
 
 def _delays(

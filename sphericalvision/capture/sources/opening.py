@@ -13,7 +13,7 @@ import torch
 
 from sphericalvision.cameras import CameraRig, PinholeCamera
 from sphericalvision.cameras.calibration.parsing import errors_of_file
-from sphericalvision.capture.sources.bags import JOIN, Bag, bag_of
+from sphericalvision.capture.sources.bags import JOIN, Bag, bag_of, is_part
 from sphericalvision.capture.sources.bags import SUFFIXES as BAG_SUFFIXES
 from sphericalvision.capture.sources.frames import Source
 from sphericalvision.capture.sources.image_files import IMAGE_SUFFIXES, ImageFiles
@@ -30,6 +30,7 @@ LAYOUTS = (
     "cam{camera}/{frame}",
     "{camera}_{frame}",
     "cam{camera}_{frame}",
+    "{frame}_{camera}",
     "{camera}/data/{frame}",
     "cam{camera}/data/{frame}",
     "image_{camera}/data/{frame}",
@@ -172,11 +173,9 @@ def _of_folder(folder: Path, opening: _Opening) -> Source:
         if not file.name.startswith(".") and file.is_file() and file.resolve() not in excluded
     ]
     previews = {file for file in files if _is_preview(file)}
-    recordings = set(files) - previews
-    for group, others in ((recordings, previews), (previews, recordings)):
-        grouped = replace(opening, leave_out=[*opening.leave_out, *others])
-        pattern = _of_files(folder, group, grouped)
-        if pattern is None:
+    for group in (set(files) - previews, previews):
+        grouped = replace(opening, leave_out=[*opening.leave_out, *(set(files) - group)])
+        if (pattern := _of_files(folder, group, grouped)) is None:
             continue
         source, suffix = grouped.source(pattern), Path(pattern).suffix
         folders = {file.parent for file in group if file.suffix == suffix}
@@ -220,8 +219,7 @@ def _of_files(folder: Path, files: Iterable[Path], opening: _Opening) -> str | N
         stills = {f"{folder}/{JOINED}{file.suffix}": None for file in joined if str(file) not in videos}
         patterns = [*videos, *stills]
     bags = [file for file in files if file.name.lower().endswith(BAG_SUFFIXES)]
-    is_part = {file: (file.parent / "metadata.yaml").is_file() for file in bags}
-    patterns += sorted({str(file.parent if is_part[file] else file) for file in bags})
+    patterns += sorted({str(file.parent if is_part(file) else file) for file in bags})
     if len(patterns) > 1:
         raise ArgumentError(
             f"images: {folder} holds several kinds of files that may be meant: {', '.join(patterns[:4])}; name one of "

@@ -58,6 +58,8 @@ SECTORS = ("right", "lower right", "down", "lower left", "left", "upper left", "
 """Parts of an image in the report: rings about the axis, and directions from it."""
 TOO_FAR = 1.0
 """Pixels of RMS from which on something else is wrong than noise."""
+MOVED = 0.3
+"""Pixels by which corners differ at least, in the mean, on two pictures of which one is no copy of the other."""
 MAX_PICTURES = 5
 """Pictures that are listed, those with the largest errors."""
 
@@ -297,6 +299,16 @@ def _report(result: RefinedRig, pictures: Pictures) -> None:
         print(
             f"Warning: {some} left out: the board stands elsewhere than in the others' pictures of the moment"
         )
+    for index, name in enumerate(names):
+        counts = pictures.seen[:, index].sum(-1)
+        corners = (pictures.pixels * pictures.seen[..., None])[:, index].flatten(1)
+        near = torch.cdist(corners, corners, p=1) < 2 * MOVED * counts
+        if (copies := near.triu(1).nonzero()).numel():
+            first, second = (pictures.labels[row][name] for row in copies[0].tolist())
+            print(
+                f"Warning: {len(copies[:, 1].unique())} of {len(corners)} pictures of {name} show the board where "
+                f"others do, such as {first} and {second}: copies count twice, leave them out"
+            )
     for line in _poses(result.rig, used):
         console.print(line)
     console.print(f"RMS {result.rms_error:.3f} px")

@@ -118,8 +118,15 @@ def test_a_picture_whose_board_stands_elsewhere_is_named(capsys: pytest.CaptureF
 
 def test_a_lens_is_calibrated_from_pictures(run: Run, tmp_path: Path) -> None:
     write_boards(tmp_path / "board")
-    words = typed(f"images=board/*.png board={COLUMNS}x{ROWS} square={SQUARE} num_coefficients=2")
-    assert "RMS" in run("calibrate", *words, "field_of_view_deg=130", "output=lens.yaml")
+    words = typed(f"images=board/* board={COLUMNS}x{ROWS} square={SQUARE} num_coefficients=2")
+    printed = run("calibrate", *words, "field_of_view_deg=130", "output=lens.yaml")
+    assert "RMS" in printed
+    assert "Warning" not in printed
+    copy = min((tmp_path / "board").glob("*.png"))
+    write_image(copy.with_suffix(".jpg"), read_image(copy))
+    printed = " ".join(run("calibrate", *words, "field_of_view_deg=130", "output=lens.yaml").split())
+    assert "Warning: 1 of " in printed
+    assert f"{copy.stem}.jpg and board/{copy.name}: copies count twice" in printed
     camera = read_camera(tmp_path / "lens.yaml")
     assert isinstance(camera, KannalaBrandtCamera)
     pixels = TRUTH.pixel_grid()[40:200:20, 60:260:20].reshape(-1, 2)

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import (
     OmniMVS,
@@ -27,6 +26,7 @@ from sphericalvision.models.omnimvs_parts import (
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import inverse_depth_from_index
 from sphericalvision.sweep.panorama_sweep import PanoramaTables
+from tests.laws.grid_laws import UP, rotation_about
 
 SIZE = (24, 30)
 
@@ -129,8 +129,7 @@ def test_volumes_keep_every_second_voxel_as_centre(circular: bool) -> None:
 
 
 def turned(rig: CameraRig, columns: int, width: int) -> CameraRig:
-    angle = torch.tensor([0.0, 2 * math.pi * columns / width, 0.0])
-    return rig.rotated(rotation=transform_from_axis_angle(angle, torch.zeros(3))[:3, :3])
+    return rig.rotated(rotation=rotation_about(-UP, 2 * math.pi * columns / width).float())
 
 
 @pytest.mark.parametrize("aggregation", ["concatenation", "variance"])

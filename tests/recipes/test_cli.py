@@ -35,8 +35,9 @@ def test_file_names_reach_the_config_unchanged(path: str) -> None:
 def test_file_names_are_printed_unchanged(path: str, capsys: pytest.CaptureFixture[str]) -> None:
     say(f"  images={path}")
     assert f"  images={path}\n" in capsys.readouterr().out
-    print_table("pictures", ["picture"], [[path]])
-    assert f" {path} " in capsys.readouterr().out
+    print_table("pictures", ["picture", "bytes"], [[path, "7"], ["x", "12345"]])
+    rows = capsys.readouterr().out.splitlines()[4:6]
+    assert rows == [f"│ {path} │     7 │", f"│ {'x':{len(path)}} │ 12345 │"]
 
 
 def test_a_log_file_gets_lines_of_progress(

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
-from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.sweep import PanoramaSweep, inverse_depth_hypotheses
+from tests.laws.grid_laws import UP, rotation_about
 from tests.sweep.test_sphere_sweep import random_rig
 
 DOUBLE = torch.float64
@@ -20,8 +20,7 @@ SIZE = (40, 46)
 
 def yaw(columns: int, width: int) -> Tensor:
     """Turn the world about the vertical so that a panorama of it moves to the right by ``columns``."""
-    angle = torch.tensor([0.0, 2 * math.pi * columns / width, 0.0], dtype=DOUBLE)
-    return transform_from_axis_angle(angle, torch.zeros(3, dtype=DOUBLE))[:3, :3]
+    return rotation_about(-UP, 2 * math.pi * columns / width)
 
 
 @pytest.mark.parametrize("stride", [1, 2, 3])

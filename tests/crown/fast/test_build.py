@@ -178,6 +178,7 @@ def test_without_a_compiler_or_a_cache_everything_works_and_one_line_says_what_w
 
 
 def test_what_the_compiler_complains_of_is_told(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CXX", "")  # names none, as if it was not set
     build.SOURCES[0].write_text("int nothing( { return 0; }")
     if build.shutil.which("c++") is None:
         pytest.skip("needs a C++ compiler")

@@ -56,6 +56,7 @@ def test_concatenation_shuffles_whole_cameras_in_training_alone(generator: torch
     assert all(sorted(order) == [0, 1, 2, 3] for order in orders)
     for still in (Concatenation(3, 4, shuffle=False), named_aggregation("concatenation", 3, 4)):
         assert torch.equal(still.train()(volume), aggregation.eval()(volume))
+    assert repr(named_aggregation("concatenation", 3, 4, shuffle=True)) == repr(aggregation)
 
 
 @pytest.mark.parametrize("name", ["concatenation", "variance"])

@@ -148,14 +148,6 @@ def test_what_a_file_says_against_itself_is_told(
     assert rig.names == read_rig(dump(tmp_path / name, sample(name))).names
 
 
-def test_an_empty_place_of_a_sensor_is_none(tmp_path: Path) -> None:
-    empty = '<rotation fixed="true"/><location fixed="true"/></sensor>'
-    text = re.sub(r"(?s)(<sensor id=\"0\".*?)</sensor>", rf"\1{empty}", TEXTS["chunk.xml"], count=1)
-    assert empty in text
-    rigs = [read_rig(dump(tmp_path / "chunk.xml", content)) for content in (text, TEXTS["chunk.xml"])]
-    assert torch.equal(rigs[0].world_from_camera, rigs[1].world_from_camera)
-
-
 def test_shots_of_opensfm_are_where_their_rigs_are(tmp_path: Path) -> None:
     content = sample("reconstruction.json")
     content["rig_cameras"] = {"r": {"rotation": [0, 0, 0], "translation": [0.1, 0, 0]}}
@@ -173,12 +165,6 @@ def test_poses_of_vins_that_are_a_first_guess_are_told(tmp_path: Path) -> None:
         dump(tmp_path / name, content | {"estimate_extrinsic": 2} if name == "estimator.yaml" else content)
     with pytest.warns(UserWarning, match="estimate_extrinsic: 2"):
         read_rig(tmp_path / "estimator.yaml")
-
-
-def test_a_mask_of_all_frames_is_no_key_of_the_file(tmp_path: Path) -> None:
-    content = sample("transforms.json") | {"mask_path": "mask.png"}
-    with pytest.raises(FileFormatError, match="mask_path"):
-        read_rig(dump(tmp_path / "transforms.json", content))
 
 
 def test_keys_of_a_frame_count_before_those_of_the_file() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,7 +17,6 @@ import torch
 from sphericalvision.cameras import (
     CameraRig,
     EquirectangularCamera,
-    FisheyeCamera,
     KannalaBrandtCamera,
     OCamCamera,
     PinholeCamera,
@@ -122,20 +120,14 @@ def lens(third: float = 1 / 3) -> OCamCamera:
     )
 
 
-@pytest.mark.parametrize(
-    ("numbers", "other", "told"),
-    [
-        ("157.1", "197.1", "the direct and the inverse polynomial contradict"),
-        ("157.1", "-157.1", "the direct and the inverse polynomial contradict"),
-        ("0.0025 ", "2.5 ", "the direct and the inverse polynomial contradict"),
-        ("4 -100", "3 -100", "announces 3 coefficients but holds 4"),
-    ],
-)
-def test_polynomials_of_two_lenses_are_refused(tmp_path: Path, numbers: str, other: str, told: str) -> None:
+@pytest.mark.parametrize(("numbers", "other"), [("157.1", "197.1"), ("157.1", "-157.1"), ("0.0025 ", "2.5 ")])
+def test_polynomials_of_two_lenses_are_refused(tmp_path: Path, numbers: str, other: str) -> None:
     path = tmp_path / "lens.txt"
     save_camera(lens(), path, format="ocamcalib")
     path.write_text(path.read_text().replace(numbers, other))
-    with pytest.raises(FileFormatError, match=rf"lens\.txt.*: {told}"):
+    with pytest.raises(
+        FileFormatError, match=r"lens\.txt.*: the direct and the inverse polynomial contradict"
+    ):
         read_camera(path)
 
 
@@ -150,16 +142,6 @@ def test_names_with_a_number_and_fields_of_view_are_kept(tmp_path: Path, names: 
     assert again.names == (names if names[0] == "cam1" else ["cam1", "cam2"])
     torch.testing.assert_close(again.max_angles, rig.max_angles, rtol=0, atol=1e-15)
     assert read_rig(tmp_path, max_angle=0.75).max_angles.tolist() == [0.75, 0.75]
-
-
-def test_an_option_without_a_default_is_asked_for(tmp_path: Path) -> None:
-    path = tmp_path / "lens.yaml"
-    save_camera(FisheyeCamera.from_field_of_view((20, 30), 2.0, "equisolid"), path)
-    whole = path.read_text()
-    path.write_text(re.sub(r"\n *projection: .*", "", whole))
-    assert path.read_text() != whole
-    with pytest.raises(FileFormatError, match=r"lens\.yaml[^()]*projection"):
-        read_camera(path)
 
 
 def test_keys_without_a_space_before_their_value_are_read(tmp_path: Path) -> None:

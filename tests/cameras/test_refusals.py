@@ -173,6 +173,7 @@ WORDS: dict[str, list[tuple[str, str, str]]] = {  # file -> what stands in it, w
         ("cameras:", "scale: 0.5\ncameras:", "scale: expected 1"),
         ("type: equidistant", "type: fisheye", "expected one of none, equidistant"),
     ],
+    "rig.yaml": [("  projection: equidistant\n", "", "cameras[0]: the key 'projection' is missing")],
     "atan.yaml": [("cam_width", "crop: 1, cam_width", "'crop' is not understood")],
     "okvis.yaml": [("cameras:", "binning: 2\ncameras:", "'binning' is not understood")],
     "settings.yaml": [
@@ -186,6 +187,7 @@ WORDS: dict[str, list[tuple[str, str, str]]] = {  # file -> what stands in it, w
     ],
     "transforms.json": [
         ('"camera_model": "OPENCV_FISHEYE"', '"camera_angle_x": 1.4', "fl_x and camera_angle_x"),
+        ('"w": 512', '"mask_path": "mask.png", "w": 512', "mask_path"),
     ],
     "stereo.yaml": [("\nR:\n", "\ntranslation_unit: m\nR:\n", "translation_unit: ")],
     "blender.json": [

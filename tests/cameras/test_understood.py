@@ -357,6 +357,7 @@ def test_files_of_other_programs_are_named(tmp_path: Path, name: str, text: str,
         ("image001.xmp", "xcr:Skew", 'xcr:latitude="48.1" xcr:version="2.2" xcr:Skew'),
         ("panorama.xml", "</height>", "</height><f>916.7324722</f>"),
         ("chunk.xml", "</p2></calibration>", '</p2></calibration><calibration class="initial"><f>9</f></calibration>'),
+        ("chunk.xml", "</sensor>", '<rotation fixed="true"/><location fixed="true"/></sensor>'),
         ("chunk.xml", "</sensor>", "<photo_params>b1</photo_params><antenna/></sensor>"),
     ],
 )  # fmt: skip

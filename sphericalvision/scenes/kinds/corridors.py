@@ -33,11 +33,8 @@ def random_corridor(generator: torch.Generator, clear_radius: float = 0.6) -> Sc
     _doors(corridor)
     _lamps(corridor)
     rooms.fill(corridor, palette.integer(1, 5))
-    return corridor.scene(
-        ambient=palette.uniform(0.08, 0.16)
-        * torch.tensor([1.0, palette.uniform(0.9, 1.0), palette.uniform(0.8, 1)]),
-        background=DAYLIGHT * palette.uniform(0.5, 1.2),
-    )
+    strength, tint = palette.uniform(0.08, 0.16), [1.0, palette.uniform(0.9, 1.0), palette.uniform(0.8, 1)]
+    return corridor.scene(strength * torch.tensor(tint), DAYLIGHT * palette.uniform(0.5, 1.2))
 
 
 def _doors(corridor: rooms.Room) -> None:
@@ -52,15 +49,10 @@ def _doors(corridor: rooms.Room) -> None:
             if palette.chance(0.25):
                 continue
             along, down = start + 0.8 + k * step + palette.uniform(0.0, 0.3), corridor.floor - high / 2
+            panel = (0.43, high / 2 - 0.02, 0.02)
             leaf = [
                 Part("box", (along, down, 0.0), (0.5, high / 2 + 0.05, 0.04), frame, casts_shadow=False),
-                Part(
-                    "box",
-                    (along, down + 0.02, -0.03),
-                    (0.43, high / 2 - 0.02, 0.02),
-                    material,
-                    casts_shadow=False,
-                ),
+                Part("box", (along, down + 0.02, -0.03), panel, material, casts_shadow=False),
                 Part("ellipsoid", (along + 0.36, down + 0.05, -0.09), (0.05, 0.015, 0.03), handle),
             ]
             corridor.add(place(leaf, x, 0.0, z, yaw))
@@ -75,13 +67,9 @@ def _lamps(corridor: rooms.Room) -> None:
     glow = palette.glowing((1.0, 0.5 + 0.5 * warm, warm), 1.4)
     positions = sorted((start + (k + 0.5) * step for k in range(int((end - start) / step))), key=abs)
     for number, z in enumerate(positions):
-        lamp = [
-            Part("box", (middle, corridor.ceiling + 0.03, z), (0.15, 0.03, 0.5), glow, casts_shadow=False)
-        ]
-        corridor.add(lamp)
+        flat = Part("box", (middle, corridor.ceiling + 0.03, z), (0.15, 0.03, 0.5), glow, casts_shadow=False)
+        corridor.add([flat])
         if number < 4:
             power = palette.uniform(1.0, 1.6) * math.sqrt(step / 3)
-            position = (middle, corridor.ceiling + 0.15, z)
-            corridor.lamps.append(
-                Lamp(position, (power, power * (0.5 + 0.5 * warm), power * warm), reach=1.2)
-            )
+            color = (power, power * (0.5 + 0.5 * warm), power * warm)
+            corridor.lamps.append(Lamp((middle, corridor.ceiling + 0.15, z), color, reach=1.2))

@@ -39,18 +39,9 @@ def random_floating_objects(generator: torch.Generator, clear_radius: float = 0.
         x, y, z = _direction(palette)
         tint = palette.color(0.8, 1.0, 0.25)
         power = 0.3 * spacing**2 * palette.uniform(0.6, 1.4)
-        lamps.append(
-            Lamp(
-                (spacing * x, -spacing * abs(y), spacing * z),
-                (power * tint[0], power * tint[1], power * tint[2]),
-                spacing,
-            )
-        )
-    return palette.scene(
-        pieces,
-        lamps,
-        ambient=palette.uniform(0.1, 0.2) * torch.ones(3),
-    )
+        color = (power * tint[0], power * tint[1], power * tint[2])
+        lamps.append(Lamp((spacing * x, -spacing * abs(y), spacing * z), color, spacing))
+    return palette.scene(pieces, lamps, ambient=palette.uniform(0.1, 0.2) * torch.ones(3))
 
 
 def _direction(palette: Palette) -> tuple[float, float, float]:

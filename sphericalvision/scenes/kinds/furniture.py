@@ -13,26 +13,20 @@ from dataclasses import replace
 
 from sphericalvision.scenes.kinds.labels import labelled
 from sphericalvision.scenes.kinds.palette import Palette
-from sphericalvision.scenes.rendering.primitives import Part
+from sphericalvision.scenes.rendering.primitives import Part, Vector
 
 Maker = Callable[[Palette], list[Part]]
 
 
+def moved(point: Vector, x: float, y: float, z: float, yaw: float) -> Vector:
+    """A point turned by ``yaw`` about the vertical, then moved."""
+    sin, cos = math.sin(yaw), math.cos(yaw)
+    return x + cos * point[0] + sin * point[2], y + point[1], z - sin * point[0] + cos * point[2]
+
+
 def place(parts: list[Part], x: float, y: float, z: float, yaw: float) -> list[Part]:
     """Parts turned by ``yaw`` about the vertical, then moved."""
-    sin, cos = math.sin(yaw), math.cos(yaw)
-    return [
-        replace(
-            part,
-            center=(
-                x + cos * part.center[0] + sin * part.center[2],
-                y + part.center[1],
-                z - sin * part.center[0] + cos * part.center[2],
-            ),
-            yaw=part.yaw + yaw,
-        )
-        for part in parts
-    ]
+    return [replace(part, center=moved(part.center, x, y, z, yaw), yaw=part.yaw + yaw) for part in parts]
 
 
 def footprint_radius(parts: list[Part]) -> float:
@@ -87,10 +81,8 @@ def chair(palette: Palette) -> list[Part]:
     else:
         bars = palette.integer(3, 5)
         step = 2 * (half - 0.02) / (bars - 1)
-        posts = [(k * step - half + 0.02) for k in range(bars)]
-        pieces += [
-            Part("cylinder", (x, -height - back / 2, -half), (0.012, back / 2, 0.012), leg) for x in posts
-        ]
+        posts, thin = [(k * step - half + 0.02) for k in range(bars)], (0.012, back / 2, 0.012)
+        pieces += [Part("cylinder", (x, -height - back / 2, -half), thin, leg) for x in posts]
         pieces.append(_slab(material, 0, height + back + 0.06, -half, (half, 0.04, 0.015)))
     return pieces
 
@@ -119,10 +111,9 @@ def shelf(palette: Palette) -> list[Part]:
         if k < boards:
             width, tall = palette.uniform(0.2, 0.8) * x, palette.uniform(0.3, 0.75) * height / boards
             center = palette.uniform(-1, 1) * (x - width - 0.03)
+            striped = palette.chance(0.6)
             books = (
-                palette.patterned(("stripes", "mosaic"), 0.35, 0.9)
-                if palette.chance(0.6)
-                else palette.photograph(0.4)
+                palette.patterned(("stripes", "mosaic"), 0.35, 0.9) if striped else palette.photograph(0.4)
             )
             pieces.append(_slab(books, center, top + tall, 0.0, (width, tall / 2, depth * 0.7)))
     return pieces
@@ -134,9 +125,8 @@ def cabinet(palette: Palette) -> list[Part]:
     body, door, knob = palette.any_surface(1.2), palette.any_surface(0.8), palette.metal()
     pieces = [_slab(body, 0, height, 0, (x, height / 2 - 0.02, depth))]
     for side in (-1, 1):
-        pieces.append(
-            _slab(door, side * x / 2, height - 0.06, depth, (x / 2 - 0.02, height / 2 - 0.08, 0.015))
-        )
+        leaf = (x / 2 - 0.02, height / 2 - 0.08, 0.015)
+        pieces.append(_slab(door, side * x / 2, height - 0.06, depth, leaf))
         pieces.append(Part("ellipsoid", (side * 0.06, -height / 2, depth + 0.035), (0.02, 0.02, 0.02), knob))
     for _ in range(palette.integer(0, 2)):
         pieces += _ornament(palette, palette.uniform(-0.7, 0.7) * x, height, 0, 0.16)
@@ -219,10 +209,8 @@ def stack(palette: Palette) -> list[Part]:
 
 def ball(palette: Palette) -> list[Part]:
     """A ball or an egg on the floor."""
-    radius, flat = palette.uniform(0.1, 0.35), palette.uniform(0.7, 1.0)
-    return [
-        Part("ellipsoid", (0, -radius * flat, 0), (radius, radius * flat, radius), palette.any_surface(0.6))
-    ]
+    radius, flat, skin = palette.uniform(0.1, 0.35), palette.uniform(0.7, 1.0), palette.any_surface(0.6)
+    return [Part("ellipsoid", (0, -radius * flat, 0), (radius, radius * flat, radius), skin)]
 
 
 def rack(palette: Palette) -> list[Part]:
@@ -230,26 +218,14 @@ def rack(palette: Palette) -> list[Part]:
     x, height, material = palette.uniform(0.3, 0.8), palette.uniform(0.8, 1.9), palette.metal()
     thick, bars = palette.uniform(0.008, 0.025), palette.integer(2, 6)
     pieces = [Part("box", (0, thick - h, 0), (x, thick, thick), material) for h in (height, 0.12)]
-    posts = [x * (2 * k / (bars - 1) - 1) for k in range(bars)]
-    return pieces + [
-        Part("cylinder", (p, -height / 2, 0), (thick, height / 2, thick), material) for p in posts
-    ]
+    posts, half = [x * (2 * k / (bars - 1) - 1) for k in range(bars)], (thick, height / 2, thick)
+    return pieces + [Part("cylinder", (p, -height / 2, 0), half, material) for p in posts]
 
 
 #: Makers for the middle of a room, and for places along its walls.
 FREE_STANDING: tuple[Maker, ...] = (
-    table,
-    chair,
-    chair,
-    stool,
-    floor_lamp,
-    plant,
-    column,
-    stack,
-    ball,
-    rack,
-    sofa,
-)
+    table, chair, chair, stool, floor_lamp, plant, column, stack, ball, rack, sofa,
+)  # fmt: skip
 AGAINST_WALLS: tuple[Maker, ...] = (shelf, shelf, cabinet, cabinet, sofa, bed, table, plant, floor_lamp, rack)
 
 #: What furniture is to somebody who labels pictures; makers that are not here make something "other".

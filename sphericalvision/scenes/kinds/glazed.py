@@ -38,10 +38,8 @@ def random_glazed_room(generator: torch.Generator, clear_radius: float = 0.6) ->
     if palette.chance(0.7):
         _outside(room)
     rooms.fill(room, palette.integer(3, 14))
-    return room.scene(
-        ambient=palette.uniform(0.06, 0.16) * torch.ones(3),
-        background=DAYLIGHT * palette.log_uniform(0.4, 3.0),
-    )
+    strength = palette.uniform(0.06, 0.16)
+    return room.scene(strength * torch.ones(3), DAYLIGHT * palette.log_uniform(0.4, 3.0))
 
 
 def _opening(room: rooms.Room, side: int) -> rooms.Opening:
@@ -50,17 +48,15 @@ def _opening(room: rooms.Room, side: int) -> rooms.Opening:
     kind = palette.uniform()
     if kind < 0.25:
         bottom = palette.uniform(0.8, 1.4)
-        return rooms.random_opening(
-            room, side, palette.uniform(0.3, 0.8), bottom, bottom + palette.uniform(0.3, 0.9)
-        )
-    if kind < 0.65:
+        width, top = palette.uniform(0.3, 0.8), bottom + palette.uniform(0.3, 0.9)
+    elif kind < 0.65:
         bottom = palette.uniform(0.3, 1.0)
-        return rooms.random_opening(room, side, palette.uniform(0.8, 2.4), bottom, palette.uniform(1.6, 2.4))
-    if kind < 0.85:
-        return rooms.random_opening(room, side, palette.uniform(0.8, 2.0), 0.02, palette.uniform(2.0, 2.4))
-    return rooms.random_opening(
-        room, side, palette.uniform(2.0, 9.0), palette.uniform(0.02, 0.6), palette.uniform(2.1, 3.3)
-    )
+        width, top = palette.uniform(0.8, 2.4), palette.uniform(1.6, 2.4)
+    elif kind < 0.85:
+        width, bottom, top = palette.uniform(0.8, 2.0), 0.02, palette.uniform(2.0, 2.4)
+    else:
+        width, bottom, top = palette.uniform(2.0, 9.0), palette.uniform(0.02, 0.6), palette.uniform(2.1, 3.3)
+    return rooms.random_opening(room, side, width, bottom, top)
 
 
 def add_panes(room: rooms.Room, side: int, opening: rooms.Opening) -> None:
@@ -102,21 +98,13 @@ def _outside(room: rooms.Room) -> None:
     for _ in range(palette.integer(0, 6)):
         away, turn = reach + palette.log_uniform(1.5, 50.0), palette.uniform(0, 2 * math.pi)
         size = 0.35 * (away - reach)
-        tree = palette.chance(0.4)
+        shape = "ellipsoid" if palette.chance(0.4) else "box"
         wide, deep = palette.uniform(0.3, 1.0) * size, palette.uniform(0.3, 1.0) * size
         high = palette.uniform(0.5, 6.0)
         skin = palette.any_surface(palette.uniform(1.0, 4.0)) if palette.chance(0.6) else palette.paint()
         center = (away * math.sin(turn), below - high, away * math.cos(turn))
-        pieces.append(
-            Part(
-                "ellipsoid" if tree else "box",
-                center,
-                (wide, high, deep),
-                _shone_upon(palette, skin),
-                yaw=palette.uniform(0, math.pi),
-                casts_shadow=False,
-            )
-        )
+        material, yaw = _shone_upon(palette, skin), palette.uniform(0, math.pi)
+        pieces.append(Part(shape, center, (wide, high, deep), material, yaw=yaw, casts_shadow=False))
     room.parts += labelled(pieces, "window")
 
 

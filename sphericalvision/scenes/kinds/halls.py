@@ -27,9 +27,8 @@ def random_hall(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
     for _ in range(palette.integer(4, 12)):
         _crates(hall)
     rooms.fill(hall, palette.integer(4, 10))
-    return hall.scene(
-        ambient=palette.uniform(0.08, 0.16) * torch.tensor([1.0, 1.0, palette.uniform(0.9, 1.1)]),
-    )
+    strength, blue = palette.uniform(0.08, 0.16), palette.uniform(0.9, 1.1)
+    return hall.scene(strength * torch.tensor([1.0, 1.0, blue]))
 
 
 def _columns(hall: rooms.Room) -> None:
@@ -79,11 +78,8 @@ def _crates(hall: rooms.Room) -> None:
     x, z = palette.uniform(x0 + 1, x1 - 1), palette.uniform(z0 + 1, z1 - 1)
     size, top, parts = palette.log_uniform(0.3, 1.0), 0.0, []
     for _ in range(palette.integer(1, 3)):
-        half = (
-            size * palette.uniform(0.6, 1.0),
-            size * palette.uniform(0.4, 0.8),
-            size * palette.uniform(0.6, 1),
-        )
+        wide, high, deep = palette.uniform(0.6, 1.0), palette.uniform(0.4, 0.8), palette.uniform(0.6, 1)
+        half = (size * wide, size * high, size * deep)
         shape = "box" if palette.chance(0.8) else "cylinder"
         material = palette.any_surface(2 * size)
         parts.append(Part(shape, (0.0, -top - half[1], 0.0), half, material, yaw=palette.uniform(0, 0.4)))

@@ -8,20 +8,9 @@ from dataclasses import replace
 from sphericalvision.scenes.rendering.primitives import Part
 
 SURFACE_LABELS = (
-    "other",
-    "floor",
-    "ceiling",
-    "wall",
-    "door",
-    "window",
-    "picture",
-    "lamp",
-    "table",
-    "seat",
-    "storage",
-    "bed",
-    "plant",
-)
+    "other", "floor", "ceiling", "wall", "door", "window", "picture",
+    "lamp", "table", "seat", "storage", "bed", "plant",
+)  # fmt: skip
 """What label 0, 1, 2, ... of ``ray_labels`` means. "other" is small things, and in other kinds of scenes than rooms
 whatever nobody has named."""
 

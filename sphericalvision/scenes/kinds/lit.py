@@ -33,9 +33,8 @@ def random_lit_place(generator: torch.Generator, clear_radius: float = 0.6) -> S
     for side in range(4):
         if palette.chance(0.2):
             wide, bottom = palette.log_uniform(0.5, 5.0), palette.choose((0.02, palette.uniform(0.4, 1.2)))
-            panes[side] = rooms.random_opening(
-                room, side, wide, bottom, bottom + palette.uniform(0.6, room.floor - room.ceiling)
-            )
+            top = bottom + palette.uniform(0.6, room.floor - room.ceiling)
+            panes[side] = rooms.random_opening(room, side, wide, bottom, top)
     rooms.build_shell(room, panes)
     _finish(room)
     for side, opening in panes.items():
@@ -79,9 +78,8 @@ def _face(palette: Palette, wide: float) -> int:
     if look < 0.75:
         return palette.photograph((wide * palette.uniform(0.5, 2.0),) * 2, emission=glow)
     contrast = palette.choose((0.05, palette.uniform(0.1, 0.8)))
-    number = palette.patterned(
-        tile=wide * palette.uniform(0.3, 2.0), contrast=contrast, bright=palette.color(0.7, 1.0)
-    )
+    tile, bright = wide * palette.uniform(0.3, 2.0), palette.color(0.7, 1.0)
+    number = palette.patterned(tile=tile, contrast=contrast, bright=bright)
     palette.materials[number] = palette.materials[number]._replace(emission=glow)
     return number
 
@@ -95,22 +93,16 @@ def _shine_above(room: rooms.Room) -> None:
     (x0, z0), (x1, z1) = room.low, room.high
     drop = 0.005 if palette.chance(0.6) else palette.uniform(0.02, 0.5)
     glow = palette.glowing(palette.color(0.85, 1.0, 0.1), palette.log_uniform(0.6, 6.0))
+    y = room.ceiling + drop
     if look == "all":
         wide, deep = (palette.uniform(0.3, 1.0) * (high - low) / 2 for low, high in ((x0, x1), (z0, z1)))
-        panels = [level((x0 + x1) / 2, room.ceiling + drop, (z0 + z1) / 2, wide, deep, glow)]
+        panels = [level((x0 + x1) / 2, y, (z0 + z1) / 2, wide, deep, glow)]
     else:
         step, wide = palette.uniform(1.0, 4.0), palette.log_uniform(0.08, 0.6)
         deep = wide if look == "grid" else (z1 - z0) / 2 * palette.uniform(0.5, 1.0)
         rows = max(1, int((z1 - z0) / step)) if look == "grid" else 1
         panels = [
-            level(
-                x0 + step * (k + 0.5),
-                room.ceiling + drop,
-                z0 + (z1 - z0) * (m + 0.5) / rows,
-                wide,
-                deep,
-                glow,
-            )
+            level(x0 + step * (k + 0.5), y, z0 + (z1 - z0) * (m + 0.5) / rows, wide, deep, glow)
             for k in range(max(1, int((x1 - x0) / step)))
             for m in range(rows)
         ]
@@ -146,11 +138,8 @@ def _stand_box(room: rooms.Room) -> None:
     x, z = away * math.sin(turn), away * math.cos(turn)
     if not (room.low[0] < x < room.high[0] and room.low[1] < z < room.high[1]):
         return
-    wide, high, deep = (
-        palette.log_uniform(0.15, 0.8),
-        palette.uniform(0.3, 1.1),
-        palette.log_uniform(0.03, 0.5),
-    )
+    wide, high = palette.log_uniform(0.15, 0.8), palette.uniform(0.3, 1.1)
+    deep = palette.log_uniform(0.03, 0.5)
     hangs = palette.chance(0.3)
     if hangs:
         high, deep = high / 3, min(deep, 0.1)

@@ -7,14 +7,14 @@ The sky is where rays hit nothing: infinitely far, inverse depth 0.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 
 import torch
 
 from sphericalvision.scenes.kinds.furniture import footprint_radius, place
 from sphericalvision.scenes.kinds.palette import Palette, level
+from sphericalvision.scenes.kinds.rooms import Room
 from sphericalvision.scenes.registry import register_scene
-from sphericalvision.scenes.rendering.primitives import Part, pack
+from sphericalvision.scenes.rendering.primitives import Part
 from sphericalvision.scenes.rendering.scene import Color, Lamp, Material, Scene
 from sphericalvision.scenes.rendering.textures import PHOTOGRAPHS
 
@@ -22,56 +22,42 @@ from sphericalvision.scenes.rendering.textures import PHOTOGRAPHS
 HORIZON = 500.0
 
 
-@dataclass
-class _Place:
-    """What stands around the rig on flat ground, ``ground`` metres below it."""
-
-    palette: Palette
-    ground: float
-    clear: float
-    parts: list[Part] = field(default_factory=list)
-    circles: list[tuple[float, float, float]] = field(default_factory=list)
-
-    def stand(self, parts: list[Part], nearest: float, farthest: float) -> None:
-        """Stand something on the ground at a random spot if there is room for it, at even inverse distances."""
-        palette, radius = self.palette, footprint_radius(parts)
-        angle = palette.uniform(0, 2 * math.pi)
-        distance = radius + 1 / palette.uniform(1 / farthest, 1 / nearest)
-        x, z = distance * math.sin(angle), distance * math.cos(angle)
-        if any(math.hypot(x - cx, z - cz) < radius + other for cx, cz, other in self.circles):
-            return
-        placed = place(parts, x, self.ground, z, palette.uniform(0, 2 * math.pi))
-        if pack(placed).distance_from(torch.zeros(3)).min() >= self.clear:
-            self.parts += placed
-            self.circles.append((x, z, radius))
-
-
 @register_scene("skies", other_sky=True)
 @register_scene("outdoors")
 def random_outdoor_place(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
     """A street, yard or meadow with the rig at its origin, y down; not yet exposed (see `make_scene`)."""
     palette = Palette(generator)
-    spot = _Place(palette, palette.uniform(0.75, 1.8), clear_radius)
+    ground = palette.uniform(0.75, 1.8)
+    spot = Room(palette, (-HORIZON, -HORIZON), (HORIZON, HORIZON), ground, -HORIZON, clear_radius)
     _ground(spot)
     for _ in range(palette.integer(2, 5)):
         _hill(spot)
     for _ in range(palette.integer(2, 6)):
-        spot.stand(_house(palette), 5.0, 40.0)
+        _stand(spot, _house(palette), 5.0, 40.0)
     for _ in range(palette.integer(0, 4)):
-        spot.stand(_car(palette), 1.2, 20.0)
+        _stand(spot, _car(palette), 1.2, 20.0)
     for _ in range(palette.integer(4, 14)):
-        spot.stand(_tree(palette), 1.5, 40.0)
+        _stand(spot, _tree(palette), 1.5, 40.0)
     for _ in range(palette.integer(6, 16)):
-        spot.stand(palette.choose((_post, _bush, _person, _bollard))(palette), clear_radius + 0.1, 15.0)
+        small = palette.choose((_post, _bush, _person, _bollard))
+        _stand(spot, small(palette), clear_radius + 0.1, 15.0)
     cloudy = palette.uniform()
     zenith = torch.lerp(torch.tensor([0.2, 0.42, 0.95]), torch.tensor([0.65, 0.68, 0.72]), cloudy)
     haze = torch.lerp(torch.tensor([0.7, 0.8, 0.95]), torch.tensor([0.8, 0.8, 0.8]), cloudy)
-    return palette.scene(
-        spot.parts,
-        [_sun(palette, cloudy)],
-        ambient=0.3 * zenith + 0.12,
-        background=torch.stack([zenith, haze]) * palette.uniform(0.9, 1.2),
-    )
+    sun, background = _sun(palette, cloudy), torch.stack([zenith, haze]) * palette.uniform(0.9, 1.2)
+    return palette.scene(spot.parts, [sun], ambient=0.3 * zenith + 0.12, background=background)
+
+
+def _stand(spot: Room, parts: list[Part], nearest: float, farthest: float) -> None:
+    """Stand something on the ground at a random spot if there is room for it, at even inverse distances."""
+    palette, radius = spot.palette, footprint_radius(parts)
+    angle = palette.uniform(0, 2 * math.pi)
+    distance = radius + 1 / palette.uniform(1 / farthest, 1 / nearest)
+    x, z = distance * math.sin(angle), distance * math.cos(angle)
+    if any(math.hypot(x - cx, z - cz) < radius + other for cx, cz, other in spot.circles):
+        return
+    if spot.add(place(parts, x, spot.floor, z, palette.uniform(0, 2 * math.pi))):
+        spot.circles.append((x, z, radius))
 
 
 def _sun(palette: Palette, cloudy: float) -> Lamp:
@@ -89,7 +75,7 @@ def _photograph(palette: Palette, name: str, tile: float, tint: Color) -> int:
     return palette.add(Material(texture, (0.02, 0.02, 0.02), tint, (tile, tile), turn=palette.uniform(0, 3)))
 
 
-def _ground(spot: _Place) -> None:
+def _ground(spot: Room) -> None:
     """Grass, gravel, asphalt or paving to the horizon, mostly with a road or path across it."""
     palette = spot.palette
     green = (palette.uniform(0.5, 0.9), palette.uniform(0.8, 1.0), palette.uniform(0.3, 0.5))
@@ -103,30 +89,29 @@ def _ground(spot: _Place) -> None:
     )
     first = palette.integer(0, 3)
     # Nothing is below the ground, so it need not cast a shadow.
-    spot.parts.append(level(0.0, spot.ground, 0.0, HORIZON, HORIZON, kinds[first]()))
+    spot.parts.append(level(0.0, spot.floor, 0.0, HORIZON, HORIZON, kinds[first]()))
     if palette.chance(0.7):
         wide, x = palette.uniform(1.0, 4.0), palette.uniform(-5.0, 5.0)
-        road = Part("box", (x, spot.ground + 0.08, 0.0), (wide, 0.1, HORIZON), kinds[(first + 2) % 4]())
+        road = Part("box", (x, spot.floor + 0.08, 0.0), (wide, 0.1, HORIZON), kinds[(first + 2) % 4]())
         spot.parts.append(road)
 
 
-def _hill(spot: _Place) -> None:
+def _hill(spot: Room) -> None:
     """A wooded hill far away, most of it below the ground."""
     palette = spot.palette
     away, angle = palette.uniform(150.0, 350.0), palette.uniform(0, 2 * math.pi)
     green = (palette.uniform(0.1, 0.3), palette.uniform(0.25, 0.4), palette.uniform(0.1, 0.25))
     material = palette.patterned(("noise",), palette.uniform(20.0, 60.0), 0.7, green)
     half = (palette.uniform(40, 120), palette.uniform(10, 35), palette.uniform(40, 120))
-    center = (away * math.sin(angle), spot.ground, away * math.cos(angle))
+    center = (away * math.sin(angle), spot.floor, away * math.cos(angle))
     spot.parts.append(Part("ellipsoid", center, half, material, yaw=angle, casts_shadow=False))
 
 
 def _house(palette: Palette) -> list[Part]:
     """Walls with rows of windows and a door, under a flat roof."""
     x, z, height = palette.uniform(2.5, 8.0), palette.uniform(2.5, 6.0), palette.uniform(2.8, 12.0)
-    plaster = palette.patterned(
-        ("noise", "bricks"), palette.uniform(1, 2.5), 0.4, palette.color(0.4, 0.9, 0.5)
-    )
+    tile, tone = palette.uniform(1, 2.5), palette.color(0.4, 0.9, 0.5)
+    plaster = palette.patterned(("noise", "bricks"), tile, 0.4, tone)
     glass = palette.add(Material(0, (0.03, 0.04, 0.06), (0.03, 0.04, 0.06), mirror=0.4))
     frame, roof = palette.paint(), palette.any_surface(2.0)
     pieces = [

@@ -109,9 +109,8 @@ class Palette:
 
     def wood(self) -> int:
         """Boards between a dark and a light brown."""
-        bright = colorsys.hsv_to_rgb(
-            self.uniform(0.05, 0.11), self.uniform(0.3, 0.75), self.uniform(0.25, 0.8)
-        )
+        hue, saturation, value = self.uniform(0.05, 0.11), self.uniform(0.3, 0.75), self.uniform(0.25, 0.8)
+        bright = colorsys.hsv_to_rgb(hue, saturation, value)
         return self.patterned(("wood",), self.uniform(0.4, 1.2), self.uniform(0.4, 0.9), bright)
 
     def paint(self) -> int:

@@ -48,11 +48,8 @@ def random_patchwork(generator: torch.Generator, clear_radius: float = 0.6) -> S
         for _ in range(palette.integer(0, 8)):
             _block(spot, plain)
     lamps = [] if lampless else lamps_near(palette, clear_radius, spot.floor - spot.ceiling, is_open)
-    return palette.scene(
-        spot.parts,
-        lamps,
-        ambient=torch.full((3,), 1.0 if lampless else palette.uniform(0.15, 0.5)),
-    )
+    ambient = torch.full((3,), 1.0 if lampless else palette.uniform(0.15, 0.5))
+    return palette.scene(spot.parts, lamps, ambient)
 
 
 def lamps_near(palette: Palette, clear: float, height: float, is_open: bool) -> list[Lamp]:

@@ -45,9 +45,8 @@ def random_plain(generator: torch.Generator, clear_radius: float = 0.6) -> Scene
     for number, material in enumerate(palette.materials[finished:], finished):
         bright = _mixed(GREY, material.bright, 0.15) if grey else material.bright
         fraction = contrast if palette.chance(0.8) else 1.0
-        palette.materials[number] = material._replace(
-            bright=bright, dark=_mixed(bright, material.dark, fraction)
-        )
+        dark = _mixed(bright, material.dark, fraction)
+        palette.materials[number] = material._replace(bright=bright, dark=dark)
     shaded = palette.chance(SHADED)
     if shaded and palette.chance(0.5):
         rooms.hang_lamps(room, palette.integer(1, 5))

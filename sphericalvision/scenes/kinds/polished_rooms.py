@@ -32,10 +32,8 @@ def random_polished_room(generator: torch.Generator, clear_radius: float = 0.6) 
     if palette.chance(0.4):
         _wall_mirror(room, (side + 1) % 4)
     rooms.fill(room, palette.integer(6, 14), rug=False)
-    return room.scene(
-        ambient=palette.uniform(0.08, 0.16) * torch.ones(3),
-        background=DAYLIGHT * palette.uniform(0.5, 1.2),
-    )
+    strength = palette.uniform(0.08, 0.16)
+    return room.scene(strength * torch.ones(3), DAYLIGHT * palette.uniform(0.5, 1.2))
 
 
 def _polish(room: rooms.Room) -> None:
@@ -55,10 +53,9 @@ def _wall_mirror(room: rooms.Room, side: int) -> None:
     along = palette.uniform(start + 1.1 * wide, end - 1.1 * wide)
     down = room.floor - 0.3 - high
     glass = palette.add(Material(texture=0, dark=(0.05, 0.06, 0.06), bright=(0.05, 0.06, 0.06), mirror=0.9))
+    size, frame = (wide + 0.04, high + 0.04, 0.02), palette.metal()
     board = [
-        Part(
-            "box", (along, down, 0.0), (wide + 0.04, high + 0.04, 0.02), palette.metal(), casts_shadow=False
-        ),
+        Part("box", (along, down, 0.0), size, frame, casts_shadow=False),
         Part("rectangle", (along, down, -0.022), (wide, high, 1.0), glass, casts_shadow=False),
     ]
     room.add(place(board, x, 0.0, z, yaw))

@@ -13,6 +13,7 @@ from sphericalvision.scenes.kinds.furniture import (
     FREE_STANDING,
     footprint_radius,
     make_piece,
+    moved,
     place,
 )
 from sphericalvision.scenes.kinds.labels import labelled
@@ -62,8 +63,7 @@ class Room:
         if any(math.hypot(x - cx, z - cz) < 0.8 * (radius + other) for cx, cz, other in self.circles):
             return False
         reach = self.floor - self.ceiling
-        placed = [part if part.half[1] < 2.9 else _from_floor_to_ceiling(part, reach)
-                  for part in parts]  # fmt: skip
+        placed = [part if part.half[1] < 2.9 else _from_floor_to_ceiling(part, reach) for part in parts]
         if self.add(place(placed, x, self.floor, z, yaw)):
             self.circles.append((x, z, radius))
             return True
@@ -85,11 +85,8 @@ class Room:
 
 
 def _from_floor_to_ceiling(part: Part, height: float) -> Part:
-    return replace(
-        part,
-        center=(part.center[0], -height / 2, part.center[2]),
-        half=(part.half[0], height / 2, part.half[2]),
-    )
+    (x, _, z), (wide, _, deep) = part.center, part.half
+    return replace(part, center=(x, -height / 2, z), half=(wide, height / 2, deep))
 
 
 @register_scene("room")
@@ -101,28 +98,21 @@ def random_room(generator: torch.Generator, clear_radius: float = 0.6) -> Scene:
     floor = palette.uniform(0.75, min(1.7, height - 0.8))
     room = Room(palette, (-sides[0], -sides[1]), (sides[2], sides[3]), floor, floor - height, clear_radius)
     order = torch.randperm(4, generator=generator).tolist()
-    openings: dict[int, tuple[str, Opening]] = {}
+    openings: dict[int, Opening] = {}
     if palette.chance(0.75):
-        openings[order[0]] = (
-            "door",
-            random_opening(room, order[0], palette.uniform(0.8, 1.6), 0.0, palette.uniform(1.9, 2.2)),
-        )
+        width, top = palette.uniform(0.8, 1.6), palette.uniform(1.9, 2.2)
+        openings[order[0]] = random_opening(room, order[0], width, 0.0, top)
     if palette.chance(0.5):
         bottom = palette.uniform(0.4, 1.0)
-        openings[order[1]] = (
-            "window",
-            random_opening(room, order[1], palette.uniform(0.8, 2.0), bottom, palette.uniform(1.6, 2.1)),
-        )
-    build_shell(room, {side: opening for side, (_, opening) in openings.items()})
+        width, top = palette.uniform(0.8, 2.0), palette.uniform(1.6, 2.1)
+        openings[order[1]] = random_opening(room, order[1], width, bottom, top)
+    build_shell(room, openings)
     hang_lamps(room, palette.integer(1, 2))
-    for side, (kind, opening) in openings.items():
-        (add_door if kind == "door" else add_window)(room, side, opening)
+    for side, opening in openings.items():
+        (add_door if side == order[0] else add_window)(room, side, opening)
     fill(room, palette.integer(8, 18))
-    ambient = palette.uniform(0.06, 0.14)
-    return room.scene(
-        ambient=ambient * torch.tensor([1.0, palette.uniform(0.9, 1.0), palette.uniform(0.8, 1.1)]),
-        background=DAYLIGHT * palette.uniform(0.5, 1.2),
-    )
+    strength, tint = palette.uniform(0.06, 0.14), [1.0, palette.uniform(0.9, 1.0), palette.uniform(0.8, 1.1)]
+    return room.scene(strength * torch.tensor(tint), DAYLIGHT * palette.uniform(0.5, 1.2))
 
 
 def random_opening(room: Room, side: int, width: float, bottom: float, top: float) -> Opening:
@@ -191,9 +181,8 @@ def add_frame(room: Room, side: int, opening: Opening, material: int, name: str)
     first, last, upper, lower = opening
     down, half = (upper + lower) / 2, (lower - upper) / 2
     bars = [Part("box", (edge, down, 0.0), (0.04, half, 0.06), material) for edge in (first, last)]
-    bars.append(
-        Part("box", ((first + last) / 2, upper, 0.0), ((last - first) / 2 + 0.04, 0.04, 0.06), material)
-    )
+    lintel = ((last - first) / 2 + 0.04, 0.04, 0.06)
+    bars.append(Part("box", ((first + last) / 2, upper, 0.0), lintel, material))
     room.add(labelled(place(bars, x, 0.0, z, yaw), name))
 
 
@@ -217,11 +206,8 @@ def add_door(room: Room, side: int, opening: Opening) -> None:
     hang_lamps(other, 1)
     furnish(other, palette.integer(2, 4))
     room.parts += place(other.parts, x, 0.0, z, yaw)
-    sin, cos = math.sin(yaw), math.cos(yaw)
-    for lamp in other.lamps:
-        px, py, pz = lamp.position
-        room.lamps.append(lamp._replace(position=(x + cos * px + sin * pz, py, z - sin * px + cos * pz)))
-    in_front = place([Part("box", ((first + last) / 2, 0.0, 0.0), (1.0, 1.0, 1.0))], x, 0.0, z, yaw)[0].center
+    room.lamps += [lamp._replace(position=moved(lamp.position, x, 0.0, z, yaw)) for lamp in other.lamps]
+    in_front = moved(((first + last) / 2, 0.0, 0.0), x, 0.0, z, yaw)
     room.circles.append((in_front[0], in_front[2], 0.5))
 
 
@@ -258,11 +244,10 @@ def hang_lamps(room: Room, count: int) -> None:
         power = 0.5 * size * palette.uniform(0.6, 1.4)
         bulb, cable = palette.glowing(tint, 1.5), palette.metal()
         y = room.ceiling + drop
+        hung, thin = (x, room.ceiling + drop / 2, z), (0.01, drop / 2, 0.01)
         fitting = [
             Part("ellipsoid", (x, y, z), (radius, radius, radius), bulb, casts_shadow=False),
-            Part(
-                "cylinder", (x, room.ceiling + drop / 2, z), (0.01, drop / 2, 0.01), cable, casts_shadow=False
-            ),
+            Part("cylinder", hung, thin, cable, casts_shadow=False),
         ]
         # A lamp right above the rig stays, without its bulb.
         room.add(labelled(fitting, "lamp"))
@@ -291,7 +276,7 @@ def furnish(room: Room, count: int) -> None:
                 continue
             along = palette.uniform(start + width, end - width)
             # Walls look outwards in their frame; furniture looks into the room.
-            spot = place([Part("box", (along, 0.0, -depth), (1.0, 1.0, 1.0))], x, 0.0, z, yaw)[0].center
+            spot = moved((along, 0.0, -depth), x, 0.0, z, yaw)
             room.stand(pieces, spot[0], spot[2], yaw + math.pi)
         else:
             pieces = make_piece(palette.choose(FREE_STANDING), palette)
@@ -343,14 +328,9 @@ def _hang_small_things(room: Room) -> None:
         y = palette.uniform(max(room.ceiling + 0.4, -0.8), min(room.floor - 0.3, 0.5))
         half = (palette.uniform(0.03, 0.2), palette.uniform(0.03, 0.2), palette.uniform(0.03, 0.2))
         cable = (y - half[1] - room.ceiling) / 2
+        shape, material = palette.choose(("ellipsoid", "box", "cylinder")), palette.any_surface(0.4)
         thing = [
-            Part(
-                palette.choose(("ellipsoid", "box", "cylinder")),
-                (x, y, z),
-                half,
-                palette.any_surface(0.4),
-                yaw=angle,
-            ),
+            Part(shape, (x, y, z), half, material, yaw=angle),
             Part("cylinder", (x, room.ceiling + cable, z), (0.008, cable, 0.008), palette.metal()),
         ]
         room.add(thing)

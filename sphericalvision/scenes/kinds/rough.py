@@ -41,11 +41,8 @@ def random_rough_place(generator: torch.Generator, clear_radius: float = 0.6) ->
         if _clear(boulder, clear_radius):
             pieces.append(boulder)
     lamps = [] if lampless else lamps_near(palette, clear_radius, palette.uniform(2.0, 5.0), is_open)
-    return palette.scene(
-        pieces,
-        lamps,
-        ambient=torch.full((3,), 1.0 if lampless else palette.uniform(0.15, 0.5)),
-    )
+    ambient = torch.full((3,), 1.0 if lampless else palette.uniform(0.15, 0.5))
+    return palette.scene(pieces, lamps, ambient)
 
 
 def _clear(part: Part, clear: float) -> bool:
@@ -97,13 +94,9 @@ def _slope(palette: Palette, clear: float, plain: float) -> list[Part]:
         away, side = palette.log_uniform(3.0, 60.0), palette.uniform(0, 2 * math.pi)
         wide, high, deep = away * palette.uniform(0.2, 0.8), away * palette.uniform(0.05, 0.4), away * 0.5
         a, b = away * math.cos(side), away * math.sin(side)
-        center = (
-            origin[0] + a * along[0] + b * down[0],
-            origin[1] + a * along[1] + b * down[1],
-            origin[2] + a * along[2] + b * down[2],
-        )
+        x, y, z = (o + a * u + b * v for o, u, v in zip(origin, along, down, strict=True))
         material = ground if palette.chance(0.4) else any_picture(palette, plain, wide)
-        hill = Part("ellipsoid", center, (wide, deep, high), material, rotation=frame)
+        hill = Part("ellipsoid", (x, y, z), (wide, deep, high), material, rotation=frame)
         if _clear(hill, clear):
             pieces.append(hill)
     return pieces

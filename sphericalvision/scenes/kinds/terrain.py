@@ -110,9 +110,8 @@ def clutter(
     half, surfaces = long * palette.log_uniform(*slim), []
     for _ in range(palette.integer(*pieces)):
         foot = off(spot, palette.uniform(0, spread) * long, palette.uniform(0, 7), -0.1 * long)
-        tip = off(
-            foot, palette.uniform(0, lean) * long, palette.uniform(0, 7), palette.uniform(0.5, 1) * long
-        )
+        away, to = palette.uniform(0, lean) * long, palette.uniform(0, 7)
+        tip = off(foot, away, to, palette.uniform(0.5, 1) * long)
         thick = (half * palette.uniform(0.3, 1.0), half * palette.uniform(0.3, 1.0))
         surfaces.append(beam(foot, tip, thick, material, shape, palette.uniform(0, 3)))
     return surfaces

@@ -7,7 +7,6 @@ import io
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -47,17 +46,19 @@ class ArrayCache:
 
     def has(self, name: str) -> bool:
         """Whether there is a file for a name."""
-        return self.folder is not None and self._path(self.folder, name).is_file()
+        return self.folder is not None and (self.folder / f"{name}.npz").is_file()
 
     def get(self, name: str, make: Callable[[], Mapping[str, Tensor]]) -> dict[str, Tensor]:
         """Read the arrays of a name; where they are missing or damaged, make them and keep them."""
         if self.folder is None:
             return dict(make())
-        path = self._path(self.folder, name)
+        path = self.folder / f"{name}.npz"
         arrays = _load(path)
         if arrays is None or not self._fit(arrays):
             arrays = dict(make())
-            self._store(path, arrays)
+            save: Callable[..., None] = np.savez_compressed if self.compress else np.savez
+            with atomic_write(path) as temporary:
+                save(temporary, **{key: array.numpy() for key, array in arrays.items()})
         return arrays
 
     def _fit(self, arrays: Mapping[str, Tensor]) -> bool:
@@ -69,15 +70,6 @@ class ArrayCache:
             and all(size in (None, actual) for size, actual in zip(shape, array.shape, strict=True))
             for array, (shape, dtype) in ((arrays[name], self.holds[name]) for name in self.holds)
         )
-
-    def _store(self, path: Path, arrays: Mapping[str, Tensor]) -> None:
-        plain: dict[str, Any] = {name: array.numpy() for name, array in arrays.items()}
-        with atomic_write(path) as temporary:
-            (np.savez_compressed if self.compress else np.savez)(temporary, **plain)
-
-    @staticmethod
-    def _path(folder: Path, name: str) -> Path:
-        return folder / f"{name}.npz"
 
 
 def encode(images: Float[Tensor, "*images"]) -> UInt8[Tensor, "*images"]:

@@ -57,14 +57,14 @@ def with_carrier(scene: Scene, kind: str, rig: CameraRig, seed: int = 0) -> Carr
     sides = (rig.positions - rig.center).abs().amax(0).tolist()
     pieces = {"pole": _pole, "robot": _robot, "vehicle": _vehicle}[kind](palette, sides, floor)
     body = pack(pieces).transformed(translation=rig.center.cpu().float())
-    materials = (scene.materials, pack_materials(palette.materials))
+
+    def joined(*columns: Tensor) -> Tensor:
+        return torch.cat(columns)
+
     placed = replace(body, material=body.material + len(scene.materials.texture))
-    carried = replace(
-        scene,
-        primitives=Primitives.concatenate([scene.primitives, placed]),
-        materials=map_columns(lambda *columns: torch.cat(columns), *materials),
-    )
-    return Carried(carried, body)
+    primitives = map_columns(joined, scene.primitives, placed)
+    materials = map_columns(joined, scene.materials, pack_materials(palette.materials))
+    return Carried(replace(scene, primitives=primitives, materials=materials), body)
 
 
 def carrier_masks(body: Primitives, rig: CameraRig) -> dict[str, Bool[Tensor, "h w"]]:

@@ -85,27 +85,22 @@ def make_scene(
     sin, cos = math.sin(yaw), math.cos(yaw)
     scene = scene.transformed(torch.tensor([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]]))
     brightness = 0.38 + 0.17 * torch.rand((), generator=generator).item()
-    scene = (
-        exposed(scene, brightness)
-        .scaled(scale)
-        .transformed(translation=center.cpu().float() if center is not None else None)
-    )
+    position = None if center is None else center.cpu().float()
+    scene = exposed(scene, brightness).scaled(scale).transformed(translation=position)
     if under_other_skies(kind):
         scene = under_another_sky(scene, generator)
     return scene if device is None else scene.to(device)
 
 
-def exposed(
-    scene: Scene, brightness: float, center: Float[Tensor, " 3"] | None = None, probes: int = 1000
-) -> Scene:
+def exposed(scene: Scene, brightness: float, center: Float[Tensor, " 3"] | None = None) -> Scene:
     """The scene at the exposure at which the view from a place has the given mean brightness on a display.
 
     Args:
         scene: of which only the exposure changes.
         brightness: 0 to 1.
         center: ``(3,)`` metres; the origin when not given.
-        probes: directions that are looked at.
     """
+    probes = 1000  # directions that are looked at
     k = torch.arange(probes) + 0.5
     height, angle = 1 - 2 * k / probes, k * math.pi * (3 - 5**0.5)
     across = (1 - height.square()).sqrt()

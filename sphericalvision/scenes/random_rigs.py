@@ -53,9 +53,8 @@ def random_rig(
     def uniform(low: float, high: float) -> float:
         return low + (high - low) * torch.rand((), generator=generator).item()
 
-    count, ring, yaw, tilt, field_of_view, panoramic = _ring_of_cameras(
-        generator, num_cameras, radius, panoramas
-    )
+    shared = _ring_of_cameras(generator, num_cameras, radius, panoramas)
+    count, ring, yaw, tilt, field_of_view, panoramic = shared
     camera: Camera
     if panoramic:
         height = round(image_size[0] * math.pi / math.radians(220) / 2) * 2
@@ -69,11 +68,9 @@ def random_rig(
         look = transform_from_axis_angle(torch.tensor([0.0, around, 0.0]), position)
         down = tilt + math.radians(uniform(-8, 8))
         roll = math.radians(uniform(-8, 8))
-        poses.append(
-            look
-            @ transform_from_axis_angle(torch.tensor([-down, 0.0, 0.0]), torch.zeros(3))
-            @ transform_from_axis_angle(torch.tensor([0.0, 0.0, roll]), torch.zeros(3))
-        )
+        tilted = transform_from_axis_angle(torch.tensor([-down, 0.0, 0.0]), torch.zeros(3))
+        rolled = transform_from_axis_angle(torch.tensor([0.0, 0.0, roll]), torch.zeros(3))
+        poses.append(look @ tilted @ rolled)
     world_from_camera = torch.stack(poses)
     world_from_camera[:, :3, 3] -= world_from_camera[:, :3, 3].mean(0)
     return CameraRig([camera] * count, world_from_camera)

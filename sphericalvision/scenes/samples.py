@@ -76,7 +76,8 @@ class WorldSamples(Dataset[dict[str, Any]]):
         #: Sixteen characters that change with everything but the seeds.
         self.fingerprint = world.fingerprint(view)
         folder = None if cache_dir is None else Path(cache_dir) / f"samples-{self.fingerprint}"
-        self.cache = ArrayCache(folder, _arrays_of(view, world.rig))
+        depths = {key: (grid().shape, torch.float32) for key, grid in self._grids.items()}
+        self.cache = ArrayCache(folder, _images_of(view, world.rig) | depths)
 
     def __len__(self) -> int:
         return len(self.seeds)
@@ -138,8 +139,8 @@ def images_as_floats(
     return signed(decode(images).flatten(0, 1), seen.flatten(0, 1)).view(images.shape)
 
 
-def _arrays_of(view: SampleView, rig: Any) -> dict[str, Kept]:
-    """Shapes and types of the arrays of a sample; None stands for what the seed decides."""
+def _images_of(view: SampleView, rig: Any) -> dict[str, Kept]:
+    """Shapes and types of the images of a sample; None stands for what the seed decides."""
     number, size = None, (None, None)
     if isinstance(rig, CameraRig):
         number, size = len(rig), next(iter(rig.cameras.values())).image_size  # type: ignore[assignment]
@@ -151,10 +152,6 @@ def _arrays_of(view: SampleView, rig: Any) -> dict[str, Kept]:
     if view.images:
         arrays["fisheye"] = (number, 3, *size), torch.uint8
         arrays["fisheye_seen"] = (number, *size), torch.bool
-    if view.depth_level is not None:
-        arrays["inverse_depth"] = (Icosphere(view.depth_level).num_vertices,), torch.float32
-    if view.panorama is not None:
-        arrays["panorama_inverse_depth"] = view.panorama, torch.float32
     return arrays
 
 

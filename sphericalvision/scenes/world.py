@@ -21,12 +21,7 @@ from sphericalvision.scenes.carriers import CARRIERS, Carried, carrier_masks, wi
 from sphericalvision.scenes.disturbances import DISPLAY, CameraDisturbance, RandomFaults, turned_poses
 from sphericalvision.scenes.draws import Draws, choose
 from sphericalvision.scenes.meshes import MeshFiles
-from sphericalvision.scenes.procedural import (
-    exposed,
-    make_scene,
-    under_another_sky,
-    unlit,
-)
+from sphericalvision.scenes.procedural import exposed, make_scene, under_another_sky, unlit
 from sphericalvision.scenes.random_rigs import TILT_SPREAD
 from sphericalvision.scenes.registry import kind_of, scene_kinds
 from sphericalvision.scenes.rendering.mesh_scene import MeshScene
@@ -277,9 +272,8 @@ class WorldFrame:
             return 1.0
         happens, amount = torch.rand(2, generator=self.draws.brightness).tolist()
         least, most = self.world.stops
-        return float(
-            2 ** ((least + (most - least) * amount if happens < self.world.too_bright else 0.0) / DISPLAY)
-        )
+        stops = least + (most - least) * amount if happens < self.world.too_bright else 0.0
+        return float(2 ** (stops / DISPLAY))
 
     @cached_property
     def taken(self) -> Images:
@@ -309,9 +303,8 @@ class WorldFrame:
         rig = self.posed_rig
         if not masked:
             return rig
-        return rig.replaced(
-            masks={name: free & rig.masks.get(name, free) for name, free in self.free.items()}
-        )
+        masks = {name: free & rig.masks.get(name, free) for name, free in self.free.items()}
+        return rig.replaced(masks=masks)
 
     @cached_property
     def images(self) -> Images:

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.scenes.rendering.primitives import SHAPES, Part, Primitives, pack
+from sphericalvision.scenes.rendering.primitives import SHAPES, Part, Primitives, map_columns, pack
 from sphericalvision.scenes.rendering.ray_packets import RayPackets, packed
 from sphericalvision.scenes.rendering.raycast import blocked, first_hits, trace
 from sphericalvision.scenes.rendering.shading import normals_and_uv
@@ -18,6 +18,10 @@ from sphericalvision.scenes.rendering.shading import normals_and_uv
 
 def unit_vectors(count: int, generator: torch.Generator) -> Tensor:
     return torch.nn.functional.normalize(torch.randn(count, 3, generator=generator), dim=-1)
+
+
+def in_double(primitives: Primitives) -> Primitives:
+    return map_columns(lambda column: column.double() if column.is_floating_point() else column, primitives)
 
 
 def packets(origins: Tensor, directions: Tensor) -> RayPackets:
@@ -67,11 +71,8 @@ def test_moving_scene_and_ray_together_changes_nothing(generator: torch.Generato
 
 
 def test_normals_are_unit_face_the_ray_and_stand_on_the_surface(generator: torch.Generator) -> None:
-    primitives, directions = (
-        random_primitives(30, generator).to(dtype=torch.float64),
-        unit_vectors(4000, generator),
-    )
-    directions = directions.double()
+    primitives = in_double(random_primitives(30, generator))
+    directions = unit_vectors(4000, generator).double()
     origin = torch.zeros(3, dtype=torch.float64)
     hit = trace(primitives, origin, directions)
     met = hit.primitive >= 0

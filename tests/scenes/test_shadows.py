@@ -13,24 +13,21 @@ from torch import Tensor
 from sphericalvision.cameras import Camera, EquirectangularCamera, FisheyeCamera
 from sphericalvision.scenes.procedural import make_scene
 from sphericalvision.scenes.registry import scene_kinds
-from sphericalvision.scenes.rendering.primitives import SHAPES, Part, Primitives, pack
-from sphericalvision.scenes.rendering.ray_packets import (
-    RAYS,
-    RayPackets,
-    candidate_pairs,
-    packed,
-)
+from sphericalvision.scenes.rendering.primitives import SHAPES, Part, Primitives
+from sphericalvision.scenes.rendering.ray_packets import RAYS, RayPackets, candidate_pairs, packed
 from sphericalvision.scenes.rendering.raycast import first_hits
 from sphericalvision.scenes.rendering.render import ray_depth, render_camera, render_directions
-from sphericalvision.scenes.rendering.scene import Lamp, Material, Scene, pack_lamps, pack_materials
+from sphericalvision.scenes.rendering.scene import Lamp
 from sphericalvision.scenes.rendering.shading import SHADOW_GAP, SurfaceSamples, irradiance, normals_and_uv
+from tests.scenes.test_raycast import in_double, packets
+from tests.scenes.test_scenes import plain
 
 ORIGIN = torch.zeros(3)
 
 
 def dense(primitives: Primitives, origins: Tensor, directions: Tensor) -> Tensor:
     """Distances ``(P, n)`` to every primitive, one at a time, by textbook formulas in float64; inf where missed."""
-    table, distances = primitives.to(dtype=torch.float64), []
+    table, distances = in_double(primitives), []
     for row in range(len(table)):
         frame = table.rotation[row] / table.half[row][:, None]
         o, d = (origins.double() - table.center[row]) @ frame.T, directions.double() @ frame.T
@@ -123,15 +120,7 @@ def test_leaving_out_the_own_primitive_changes_no_light(kind: str) -> None:
 
 
 def lit_box(camera_at: Tensor) -> Tensor:
-    white = Material(texture=0, dark=(1.0, 1.0, 1.0), bright=(1.0, 1.0, 1.0))
-    scene = Scene(
-        primitives=pack([Part("box", (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))]),
-        materials=pack_materials([white]),
-        lamps=pack_lamps([Lamp((0.0, -3.0, 0.0), (5.0, 5.0, 5.0))]),
-        ambient=torch.zeros(3),
-        background=torch.zeros(2, 3),
-        exposure=torch.tensor(1.0),
-    )
+    scene = plain([Part("box", (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))], [Lamp((0.0, -3.0, 0.0), (5.0, 5.0, 5.0))])
     angle = torch.linspace(-0.2, 0.2, 400)
     directions = torch.stack([angle.sin(), angle.cos(), torch.zeros(400)], -1)
     return render_directions(scene, camera_at, directions)
@@ -150,9 +139,7 @@ def test_bundles_that_start_anywhere_meet_what_their_rays_meet(generator: torch.
     )
     origins = torch.rand(4 * RAYS, 3, generator=generator) - 0.5
     met = dense(primitives, origins, directions).isfinite().view(len(primitives), 4, RAYS).any(-1)
-    pairs = candidate_pairs(
-        primitives, RayPackets(packed(origins.T.contiguous()), packed(directions.T.contiguous()))
-    )
+    pairs = candidate_pairs(primitives, packets(origins, directions))
     possible = torch.zeros_like(met)
     possible[primitives.columns.order[pairs.place], pairs.packet] = True
     assert not (met & ~possible).any()

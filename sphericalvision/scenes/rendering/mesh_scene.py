@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,26 +29,6 @@ AXES = {
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".off")
 #: What fits into a few gigabytes: triangles of all pieces, and pixels of all textures.
 MOST_TRIANGLES, MOST_PIXELS = 2**24, 2**28
-
-
-@dataclass(frozen=True)
-class _Texture:
-    """A picture, bytes ``(h, w, 3)``, over the unit square of texture coordinates, whose v points up."""
-
-    pixels: Tensor
-
-    def sample(self, uv: Tensor) -> Tensor:
-        """Linear colours ``(n, 3)`` at ``(n, 2)``, bilinear, repeated beyond the square."""
-        height, width = self.pixels.shape[:2]
-        x, y = uv[:, 0] * width - 0.5, (1 - uv[:, 1]) * height - 0.5
-        left, top = x.floor(), y.floor()
-        x, y = (x - left)[:, None], (y - top)[:, None]
-        columns = [(left + k).long() % width for k in (0, 1)]
-        rows = [(top + k).long() % height for k in (0, 1)]
-        upper, lower = (
-            _linear(self.pixels[r, columns[0]]).lerp(_linear(self.pixels[r, columns[1]]), x) for r in rows
-        )
-        return upper.lerp(lower, y)
 
 
 class MeshScene:
@@ -160,7 +139,7 @@ class MeshScene:
         colors = values.clone()
         for number, texture in enumerate(self.textures):
             if texture is not None and bool((mine := piece == number).any()):
-                colors[mine] = texture.sample(values[mine, :2])
+                colors[mine] = _sampled(texture, values[mine, :2])
         color[hit] = colors
         return color
 
@@ -204,9 +183,8 @@ def read_mesh_scene(
         >>> ray_depth(scene, torch.zeros(3), torch.eye(3))
         tensor([3.0000, 1.2500, 2.5000])
     """
-    from sphericalvision.scenes.rendering.mesh_reading import (
-        load_mesh,  # trimesh takes half a second to import
-    )
+    # trimesh takes half a second to import
+    from sphericalvision.scenes.rendering.mesh_reading import load_mesh
 
     path = check_file(path, "a mesh")
     if path.suffix.lower() not in SUFFIXES:
@@ -262,8 +240,8 @@ def _check_size(parts: list[trimesh.Trimesh], places: list[tuple[int, Array]]) -
         )
 
 
-def _look(part: trimesh.Trimesh) -> tuple[_Texture | None, Tensor]:
-    """The texture of a mesh, if any, and values of the corners of its faces ``(f, 3, 3)``.
+def _look(part: trimesh.Trimesh) -> tuple[Tensor | None, Tensor]:
+    """The texture of a mesh, if any, bytes ``(h, w, 3)``, and values of the corners of its faces ``(f, 3, 3)``.
 
     Values are texture coordinates (and 0), or linear colours where there is no texture.
     """
@@ -273,13 +251,12 @@ def _look(part: trimesh.Trimesh) -> tuple[_Texture | None, Tensor]:
         uv = np.asarray(visual.uv, dtype=np.float32)[part.faces]
         corner = torch.zeros(len(part.faces), 3, 3)
         corner[..., :2] = torch.from_numpy(uv)
-        return _Texture(torch.from_numpy(np.array(image.convert("RGB")))), corner
+        return torch.from_numpy(np.array(image.convert("RGB"))), corner
     if visual.kind == "vertex":
         return None, _linear(torch.from_numpy(visual.vertex_colors[:, :3][part.faces]))
     if visual.kind == "face":
-        return None, _linear(torch.from_numpy(visual.face_colors[:, :3].copy()))[:, None].expand(
-            -1, 3, -1
-        ).clone()
+        colors = _linear(torch.from_numpy(visual.face_colors[:, :3].copy()))
+        return None, colors[:, None].expand(-1, 3, -1).clone()
     material: Any = getattr(visual, "material", None)
     if hasattr(material, "baseColorFactor"):
         return None, _shade(material.baseColorFactor, visual.vertex_attributes.get("color"), part.faces)
@@ -302,6 +279,18 @@ def _image(visual: Any) -> Any:
     material = getattr(visual, "material", None)
     image = getattr(material, "baseColorTexture", None)
     return getattr(material, "image", None) if image is None else image
+
+
+def _sampled(texture: Tensor, uv: Tensor) -> Tensor:
+    """Linear colours ``(n, 3)`` at ``(n, 2)``, whose v points up; bilinear, repeated beyond the unit square."""
+    height, width = texture.shape[:2]
+    x, y = uv[:, 0] * width - 0.5, (1 - uv[:, 1]) * height - 0.5
+    left, top = x.floor(), y.floor()
+    x, y = (x - left)[:, None], (y - top)[:, None]
+    columns = [(left + k).long() % width for k in (0, 1)]
+    rows = [(top + k).long() % height for k in (0, 1)]
+    upper, lower = (_linear(texture[r, columns[0]]).lerp(_linear(texture[r, columns[1]]), x) for r in rows)
+    return upper.lerp(lower, y)
 
 
 def _linear(levels: Tensor) -> Tensor:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
@@ -63,7 +63,7 @@ class Columns(NamedTuple):
     half: Tensor
 
 
-def map_columns(function: Callable[..., Tensor], *tables: Table) -> Table:
+def map_columns(function: Callable[..., Any], *tables: Table) -> Table:
     """The table whose columns are what a function makes of those of one table, or of several of the same type."""
     columns = {f.name: function(*(getattr(table, f.name) for table in tables)) for f in fields(tables[0])}
     return type(tables[0])(**columns)
@@ -98,17 +98,12 @@ class Primitives:
         return int(self.shape.shape[0])
 
     @cached_property
-    def local_from_world(self) -> Tensor:
-        """``(P, 3, 3)`` linear maps that turn the primitive into its unit shape."""
-        return self.rotation / self.half[:, :, None]
-
-    @cached_property
     def columns(self) -> Columns:
         """The table as intersections need it."""
         order = torch.cat([(self.shape == SHAPES.index(name)).nonzero()[:, 0] for name in SHAPES])
         ranks = torch.empty_like(order)
         ranks[order] = torch.arange(len(order), device=order.device)
-        frame = self.local_from_world[order].permute(1, 2, 0).contiguous()
+        frame = (self.rotation / self.half[:, :, None])[order].permute(1, 2, 0).contiguous()
         box = torch.ones_like(self.half)
         box[self.shape == SHAPES.index("rectangle"), 2] = 0
         counts = torch.bincount(self.shape, minlength=len(SHAPES)).tolist()
@@ -125,24 +120,13 @@ class Primitives:
     @cached_property
     def shadow_casters(self) -> Primitives:
         """The rows that cast shadows."""
-        return self.select(self.casts_shadow.nonzero()[:, 0])
+        rows = self.casts_shadow.nonzero()[:, 0]
+        return map_columns(lambda column: column[rows], self)
 
     @cached_property
     def caster_row(self) -> Tensor:
         """``(P,)`` each row's number among the shadow casters, -1 where it casts none."""
         return torch.where(self.casts_shadow, self.casts_shadow.cumsum(0) - 1, -1)
-
-    def select(self, rows: Tensor) -> Primitives:
-        """The given rows as a table."""
-        return map_columns(lambda column: column[rows], self)
-
-    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Primitives:
-        """The table on another device, or with another floating-point type."""
-
-        def move(value: Tensor) -> Tensor:
-            return value.to(device, dtype if value.is_floating_point() else None)
-
-        return map_columns(move, self)
 
     def transformed(
         self, rotation: Float[Tensor, "3 3"] | None = None, translation: Float[Tensor, " 3"] | None = None
@@ -167,11 +151,6 @@ class Primitives:
         half = self.half.clone()
         half[self.shape == SHAPES.index("rectangle"), 2] = 0
         return (local.abs() - half).clamp(min=0).norm(dim=-1)
-
-    @staticmethod
-    def concatenate(tables: Iterable[Primitives]) -> Primitives:
-        """One table with the rows of all."""
-        return map_columns(lambda *columns: torch.cat(columns), *tables)
 
 
 def pack(parts: Sequence[Part]) -> Primitives:

@@ -55,12 +55,12 @@ class CandidatePairs(NamedTuple):
     near: Tensor
 
 
-def packed(columns: Tensor, rays: int = RAYS) -> Tensor:
-    """``(*, n)`` as ``(*, b, rays)``; the last packet is filled up with the last column."""
-    missing = -columns.shape[-1] % rays
+def packed(columns: Tensor) -> Tensor:
+    """``(*, n)`` as ``(*, b, RAYS)``; the last packet is filled up with the last column."""
+    missing = -columns.shape[-1] % RAYS
     if missing:
         columns = torch.cat([columns, columns[..., -1:].expand(*columns.shape[:-1], missing)], -1)
-    return columns.reshape(*columns.shape[:-1], -1, rays)
+    return columns.reshape(*columns.shape[:-1], -1, RAYS)
 
 
 def candidate_pairs(

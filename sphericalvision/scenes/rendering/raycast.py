@@ -157,12 +157,13 @@ def _intersections(
         for first in range(start, end, size):
             some = CandidatePairs(*(column[first : min(first + size, end)] for column in pairs))
             rotation = table.frame.flatten(0, 1).index_select(1, some.place).view(3, 3, -1, 1)
-            o = _turned(rotation, _of(rays.origin, some.packet))
+            o = _turned(rotation, picked(rays.origin, some.packet))
             o -= table.offset.index_select(1, some.place)[..., None]
-            yield some, *intersect(o, _turned(rotation, _of(rays.direction, some.packet)))
+            yield some, *intersect(o, _turned(rotation, picked(rays.direction, some.packet)))
 
 
-def _of(vectors: Tensor, packet: Tensor) -> Tensor:
+def picked(vectors: Tensor, packet: Tensor) -> Tensor:
+    """Vectors of some packets; those that all packets share stay."""
     return vectors if vectors.shape[1] == 1 else vectors.index_select(1, packet)
 
 

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from dataclasses import dataclass, field, is_dataclass, replace
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -109,19 +109,12 @@ class Scene:
     def to(self, device: torch.device | str) -> Scene:
         """The scene on another device."""
 
-        def move(value: Tensor) -> Tensor:
-            return value.to(device)
+        def move(value: Any) -> Any:
+            if isinstance(value, Tensor):
+                return value.to(device)
+            return map_columns(move, value) if is_dataclass(value) else value
 
-        return Scene(
-            primitives=self.primitives.to(device),
-            materials=map_columns(move, self.materials),
-            lamps=map_columns(move, self.lamps),
-            ambient=move(self.ambient),
-            background=move(self.background),
-            exposure=move(self.exposure),
-            clouds=move(self.clouds),
-            fog=self.fog,
-        )
+        return map_columns(move, self)
 
     def transformed(
         self, rotation: Float[Tensor, "3 3"] | None = None, translation: Float[Tensor, " 3"] | None = None
@@ -132,11 +125,8 @@ class Scene:
             position = position @ rotation.T
         if translation is not None:
             position = position + translation
-        return replace(
-            self,
-            primitives=self.primitives.transformed(rotation, translation),
-            lamps=replace(self.lamps, position=position),
-        )
+        primitives = self.primitives.transformed(rotation, translation)
+        return replace(self, primitives=primitives, lamps=replace(self.lamps, position=position))
 
     def scaled(self, factor: float) -> Scene:
         """The scene with every length multiplied by ``factor``; it looks the same to a rig scaled alike."""

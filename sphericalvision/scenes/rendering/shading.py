@@ -12,7 +12,7 @@ from torch import Tensor
 
 from sphericalvision.scenes.rendering.primitives import SHAPES, Primitives
 from sphericalvision.scenes.rendering.ray_packets import RAYS, RayPackets, packed
-from sphericalvision.scenes.rendering.raycast import blocked, first_hits
+from sphericalvision.scenes.rendering.raycast import blocked, first_hits, picked
 from sphericalvision.scenes.rendering.scene import Scene, sky_light
 from sphericalvision.scenes.rendering.textures import TextureBank, texture_bank
 
@@ -100,9 +100,7 @@ def radiance(scene: Scene, table: SurfaceTable, rays: RayPackets, spread: Tensor
     above = rays.direction.index_select(1, sky)
     light.index_copy_(1, sky, sky_light(scene.background, scene.clouds, above))
     if len(ground):
-        origin, direction, behind = (
-            each if each.shape[1] == 1 else each.index_select(1, ground) for each in (*rays, light)
-        )
+        origin, direction, behind = (picked(each, ground) for each in (*rays, light))
         spread, distance, hit = (each.index_select(0, ground) for each in (spread, distance, hit))
         seen = _surfaces(scene, table, RayPackets(origin, direction), spread, distance, hit, bounces)
         light.index_copy_(1, ground, torch.where(hit >= 0, seen, behind))

@@ -29,23 +29,21 @@ PHOTOGRAPHS = (
 VARIANTS, SIZE = 4, 256
 
 
-def photograph(name: str, size: int = SIZE) -> Tensor:
-    """One of :data:`PHOTOGRAPHS`, cropped to a square: ``(3, size, size)`` linear intensities in [0, 1]."""
+def photograph(name: str) -> Tensor:
+    """One of :data:`PHOTOGRAPHS`, cropped to a square: ``(3, SIZE, SIZE)`` linear intensities in [0, 1]."""
     import skimage.color  # a second to import
     import skimage.data
     import skimage.io
 
-    path = check_file(
-        Path(skimage.data.__file__).parent / name,
-        "a photograph of scikit-image's wheel; reinstall scikit-image",
-    )
+    path = Path(skimage.data.__file__).parent / name
+    path = check_file(path, "a photograph of scikit-image's wheel; reinstall scikit-image")
     image = skimage.io.imread(path)
     image = image[:, :, :3] if image.ndim == 3 else skimage.color.gray2rgb(image)
     height, width = image.shape[:2]
     side = min(height, width)
     top, left = (height - side) // 2, (width - side) // 2
     square = torch.from_numpy(image[top : top + side, left : left + side].copy()).permute(2, 0, 1).float()
-    resized = interpolate(square[None], (size, size), mode="bilinear", antialias=True)[0]
+    resized = interpolate(square[None], (SIZE, SIZE), mode="bilinear", antialias=True)[0]
     return (resized / 255) ** 2.2
 
 
@@ -301,9 +299,8 @@ class TextureBank:
     @cached_property
     def _sides(self) -> Tensor:
         """Side of each level."""
-        return torch.tensor(
-            [float(self.size >> k) for k in range(self.num_levels)], device=self.texels.device
-        )
+        sides = [float(self.size >> k) for k in range(self.num_levels)]
+        return torch.tensor(sides, device=self.texels.device)
 
     @cached_property
     def _offsets(self) -> Tensor:

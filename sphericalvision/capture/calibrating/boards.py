@@ -187,9 +187,7 @@ class Charuco(Board):
         corner_by_id: dict[int, Array] = {}
         for image, back in self._sized(grey):
             corners, ids, *_ = self._detector.detectBoard(image)
-            for corner, place in zip(
-                () if ids is None else corners, () if ids is None else ids.ravel(), strict=True
-            ):
+            for corner, place in () if ids is None else zip(corners, ids.ravel(), strict=True):
                 corner_by_id.setdefault(int(place), back(corner.reshape(2)))
         return np.array(list(corner_by_id), int), np.array(list(corner_by_id.values())).reshape(-1, 2)
 

@@ -86,12 +86,13 @@ def calibrate_camera(
     camera: Camera = ideal.with_max_angle(math.pi)
     # The axis stays in the middle of the image until the focal length, which may be a third off, is about right.
     camera = refine(camera, points, pixels, seen, fixed=("principal_point",)).camera
-    camera = convert(
-        refine(camera, points, pixels, seen).camera, KannalaBrandtCamera, num_coefficients=2
-    ).camera
+    camera = refine(camera, points, pixels, seen).camera
+    camera = convert(camera, KannalaBrandtCamera, num_coefficients=2).camera
     # A Kannala-Brandt lens of two coefficients is the start of every model, which is then fitted to it.
     refined = refine(camera, points, pixels, seen)
-    camera = refined.camera.with_max_angle(min(_reached(refined), view_of(refined.camera).widest))
+    # Nothing is known of the lens beyond what was seen
+    reached = min(math.pi, _REACH * float(refined.camera.max_angle), view_of(refined.camera).widest)
+    camera = refined.camera.with_max_angle(reached)
     start = convert(camera, model, num_coefficients=num_coefficients, projection=projection).camera
     return refine(start, points, pixels, seen)
 
@@ -171,10 +172,8 @@ def calibrate_rig(
             num_coefficients=num_coefficients,
             projection=projection,
         )
-        alone[name] = (
-            calibration.camera,
-            dict(zip(views.tolist(), calibration.camera_from_points, strict=True)),
-        )
+        poses_by_view = dict(zip(views.tolist(), calibration.camera_from_points, strict=True))
+        alone[name] = calibration.camera, poses_by_view
         errors.append(calibration.rms_error)
     # 2. Poses of the cameras along the pairs with most views in common; boards that look the same upside down are
     #    renumbered by them before anything is fitted together.
@@ -201,9 +200,8 @@ def calibrate_rig(
         name: camera.with_max_angle(min(_REACH * _farthest(refined, place, pixels), float(camera.max_angle)))
         for place, (name, camera) in enumerate(refined.rig.cameras.items())
     }
-    return refined._replace(
-        rig=refined.rig.replaced(cameras), residuals=_renumbered(refined.residuals, turned)
-    )
+    residuals = _renumbered(refined.residuals, turned)
+    return refined._replace(rig=refined.rig.replaced(cameras), residuals=residuals)
 
 
 def _farthest(refined: RefinedRig, place: int, pixels: Tensor) -> float:
@@ -262,16 +260,14 @@ def _astray(
         cameras = [place for place, (_, poses) in enumerate(alone.values()) if view in poses]
         if len(cameras) < 2:
             continue
-        stood = rig.world_from_camera[cameras] @ torch.stack(
-            [alone[rig.names[at]][1][view] for at in cameras]
-        )
+        camera_from_points = torch.stack([alone[rig.names[at]][1][view] for at in cameras])
+        stood = rig.world_from_camera[cameras] @ camera_from_points
         distances = torch.cdist(stood.flatten(1), stood.flatten(1)).sum(-1)
         reference = int(distances.argmin())
         for place in cameras[:reference] + cameras[reference + 1 :]:
             visible = seen[view, place].cpu()
-            local = transform_points(
-                rig.camera_from_world[place] @ stood[reference], points.to(stood)[visible]
-            )
+            expected = rig.camera_from_world[place] @ stood[reference]
+            local = transform_points(expected, points.to(stood)[visible])
             misses = alone[rig.names[place]][0].project(local).pixels - pixels[view, place].to(stood)[visible]
             errors[view, place] = misses.norm(dim=-1).nan_to_num(torch.inf).median()
     limit = max(_WRONG * float(errors[errors > 0].median()), _PIXELS) if bool(errors.any()) else torch.inf
@@ -330,8 +326,3 @@ def _poses(
                 best = candidates[turned_apart.argmin()]
         poses[other] = poses[reference] @ best
     return torch.stack([poses[name] for name in names])
-
-
-def _reached(refined: RefinedCamera) -> float:
-    """The largest angle from the axis at which the camera looks at all: the lens is not known beyond what was seen."""
-    return min(math.pi, _REACH * float(refined.camera.max_angle))

@@ -134,23 +134,13 @@ def align_rig_direct(
     directions = directions.to(device, torch.float32)
     count = math.prod(frames)
     depth = inverse_depth.detach().to(device, torch.float32).reshape(count, -1)
-    trust = (
-        torch.ones_like(depth)
-        if weights is None
-        else weights.detach().to(device, torch.float32).reshape(count, -1)
-    )
-    views = [
-        _View(
-            camera,
-            images[name].to(device, torch.float32).reshape(count, *images[name].shape[-3:]),
-            rig.masks.get(name),
-            pixel,
-            blur,
-        )
-        for name, camera in rig.cameras.items()
-    ]
+    trust = torch.ones_like(depth) if weights is None else weights.detach().to(device, torch.float32)
+    views = []
+    for name, camera in rig.cameras.items():
+        image = images[name].to(device, torch.float32).reshape(count, *images[name].shape[-3:])
+        views.append(_View(camera, image, rig.masks.get(name), pixel, blur))
     with torch.no_grad():
-        problem = _Problem(rig, views, directions, trust, expected)
+        problem = _Problem(rig, views, directions, trust.reshape(count, -1), expected)
         turns, spread, agreement = problem.solve(depth * problem.radius, iterations)
     like = rig.world_from_camera
     return DirectAlignment(turned(rig, turns), turns.to(like), spread.to(like), agreement)
@@ -190,11 +180,9 @@ class _View:
             images, self.shown = (F.avg_pool2d(x, self.shrink, ceil_mode=True) for x in (images, covered))
 
         def mean(values: Tensor, sigma: float) -> Tensor:
-            size = 2 * math.ceil(3 * sigma) + 1
-            pair = [
-                gaussian_blur2d(x, (size, size), (sigma, sigma), "constant") for x in (values, self.shown)
-            ]
-            return pair[0] / pair[1].clamp(min=1e-3)
+            size = (2 * math.ceil(3 * sigma) + 1,) * 2
+            total, weight = (gaussian_blur2d(x, size, (sigma,) * 2, "constant") for x in (values, self.shown))
+            return total / weight.clamp(min=1e-3)
 
         # the images are already multiplied with what is shown, so both means leave out the rest
         band = (mean(images, blur) - mean(images, _BAND * blur)) * self.shown

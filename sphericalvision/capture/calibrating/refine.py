@@ -100,11 +100,9 @@ def refine(
     names = _free_names(_started(camera), fixed)
     rig = CameraRig([camera], torch.eye(4).to(camera.max_angle)[None])
     seen = None if seen is None else seen[:, None]
-    bundle = _Bundle(rig, points, pixels[:, None], seen, [names])
-    vector, rms = bundle.solve()
-    (refined,), _, world_from_points = bundle.parts(vector)
-    residuals = bundle.all_residuals(vector)[:, 0]
-    return RefinedCamera(_finished(refined, camera), world_from_points, residuals, rms)
+    refined = refine_rig(rig, points, pixels[:, None], seen, intrinsics=names)
+    (camera,) = refined.rig.cameras.values()
+    return RefinedCamera(camera, refined.world_from_points, refined.residuals[:, 0], refined.rms_error)
 
 
 @check_shapes
@@ -288,11 +286,6 @@ class _Bundle:
         start = sum(map(sum, self.lengths[:index]))
         return slice(start, start + sum(self.lengths[index]))
 
-    def _pose_places(self, number: int) -> slice:
-        """Of the moves: those of cameras but the first, then those of views."""
-        start = self.num_intrinsics + 6 * number
-        return slice(start, start + 6)
-
     def _with(self, index: int, values: Tensor) -> Camera:
         """Camera ``index`` with intrinsics from ``values`` (*, p), one camera for each."""
         camera, lead = self.cameras[index], values.shape[:-1]
@@ -342,16 +335,17 @@ class _Bundle:
             pixels = self._predicted(index, copies[0], copies[1], views, copies[2])
             rows = pixels.new_zeros(len(views), 2, len(vector))
             for axis in range(2):
-                gradients = torch.autograd.grad(
-                    pixels[:, axis].sum(), copies, retain_graph=True, allow_unused=True
-                )
+                total = pixels[:, axis].sum()
+                gradients = torch.autograd.grad(total, copies, retain_graph=True, allow_unused=True)
                 by_intrinsics, by_camera, by_view = (
                     torch.zeros_like(part) if gradient is None else gradient
                     for gradient, part in zip(gradients, copies, strict=True)
                 )
                 rows[:, axis, self._intrinsic_places(index)] = by_intrinsics
+                # Moves are those of cameras but the first, then those of views.
                 if index:
-                    rows[:, axis, self._pose_places(index - 1)] = by_camera
+                    start = self.num_intrinsics + 6 * (index - 1)
+                    rows[:, axis, start : start + 6] = by_camera
                 first = self.num_intrinsics + 6 * (self.num_moved + views)
                 rows[:, axis].scatter_(1, first[:, None] + torch.arange(6), by_view)
             blocks.append(rows.flatten(0, 1))

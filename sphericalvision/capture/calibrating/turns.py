@@ -35,9 +35,7 @@ def rotations(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]
 def turned(rig: CameraRig, turns: Float[Tensor, "n 3"]) -> CameraRig:
     """Return a rig with each camera turned by a rotation vector in the world, radians, about its own position."""
     poses = rig.world_from_camera.detach().clone()
-    poses[:, :3, :3] = (rotations(turns.to(poses.device, torch.float64)) @ poses[:, :3, :3].double()).to(
-        poses
-    )
+    poses[:, :3, :3] = rotations(turns.to(poses.device, torch.float64)) @ poses[:, :3, :3].double()
     return rig.replaced(world_from_camera=poses)
 
 

@@ -15,16 +15,10 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.graphs import GraphedFunction
 from sphericalvision.capture.preparation.photometry import pixel_angles
-from sphericalvision.capture.preparation.preparation import (
-    Compensator,
-    Correction,
-    Preparation,
-    differs,
-    needed,
-)
+from sphericalvision.capture.preparation.preparation import Compensator, Correction, Preparation, differs
 from sphericalvision.geometry.directions import angle_from_axis
 from sphericalvision.icosphere import icosphere_vertices
-from sphericalvision.kernels import full_precision
+from sphericalvision.kernels import full_precision, may_hold
 from sphericalvision.models import DepthNetwork
 from sphericalvision.sphere.intake import signed, three_channels
 from sphericalvision.sweep import DepthEstimate, DepthHint
@@ -138,13 +132,12 @@ class Pipeline:
             light = None
             if len(self.rig) > 1:
                 light = compensator.light({name: image[place] for name, image in smooth.items()})
-                if needed(differs(light)):
+                if may_hold(differs(light)):
                     even = (frame / light.light(self._angles).to(frame)).clamp(0, 1)
                     frame.copy_(even.where(differs(light), frame))
             corrections.append(Correction(noise[place], gains[place], light))
-        return signed(values, self.intake.seen).unflatten(0, batch or (1,))[() if batch else 0], tuple(
-            corrections
-        )
+        inputs = signed(values, self.intake.seen).unflatten(0, batch or (1,))
+        return inputs[() if batch else 0], tuple(corrections)
 
     def estimate(
         self, inputs: Float[Tensor, "*batch_and_size"], *hint: Float[Tensor, "_ _"]
@@ -182,4 +175,4 @@ class Pipeline:
         mean = (weight * frames).sum(size, keepdim=True)
         variance = (weight * (frames - mean).square()).sum(size, keepdim=True).amax(2)
         blank = variance < (2 * BLANK) ** 2  # frames are in [-1, 1]
-        return seen & ~blank if needed(blank) else seen
+        return seen & ~blank if may_hold(blank) else seen

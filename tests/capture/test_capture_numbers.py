@@ -44,11 +44,8 @@ from tests.values import coarse_sum, numbers_in, rand, sum_of, tensors_of, weigh
 
 RIG = uneven_rig().to(dtype=torch.float32)
 MOTION = transform_from_axis_angle(torch.tensor([0.1, -0.3, 0.05]), torch.tensor([0.1, -0.05, 0.2]))
-RAYS, DISTANCES, TRUST = (
-    3 * rand(400, 3, seed=5).float() - 1.5,
-    2 * rand(400, seed=2).float(),
-    rand(400).float(),
-)
+RAYS = 3 * rand(400, 3, seed=5).float() - 1.5
+DISTANCES, TRUST = 2 * rand(400, seed=2).float(), rand(400).float()
 DIRECTIONS = icosphere_vertices(3)
 VIEW = PinholeCamera([20.0, 22.0], [9.0, 7.0], (15, 19))
 
@@ -94,9 +91,8 @@ def hint(form: str) -> Hint:
     if form == "affine":
         maps = {name: 3 / true[name] - 0.2 + 0.2 * n for name, n in noise.items()}
         return Hint.of_views(Views(maps, RIG), fit="affine")
-    return Hint.of_views(
-        Views({name: 7 * true[name] + 0.5 * n for name, n in noise.items()}, RIG), fit="scale"
-    )
+    scaled = {name: 7 * true[name] + 0.5 * n for name, n in noise.items()}
+    return Hint.of_views(Views(scaled, RIG), fit="scale")
 
 
 def fused() -> FusedCloud:
@@ -115,9 +111,8 @@ def body() -> Any:
     rig, frames = ring_rig(2, image_size=(60, 72)), []
     for seed in range(10):
         blobs = [cv2.GaussianBlur(rand(60, 72, seed=2 * seed + k).numpy(), (0, 0), 2) for k in range(2)]
-        frame = [
-            (3 * torch.from_numpy(blob) - 1).clamp(0, 1).float().expand(3, -1, -1).clone() for blob in blobs
-        ]
+        grey = [(3 * torch.from_numpy(blob) - 1).clamp(0, 1).float() for blob in blobs]
+        frame = [image.expand(3, -1, -1).clone() for image in grey]
         frame[0][:, 42:, 16:56] = 0.1
         frames.append(dict(zip(rig.names, frame, strict=True)))
     return find_own_body(rig, frames, margin=2)
@@ -174,7 +169,7 @@ Compensator(RIG, Intake(RIG, Icosphere(2)).averaged).smoothed(batch(noise=0.3)) 
 Compensator(RIG).brightened(batch(dark=0.15)) -> -9.3910
 compensated(RIG, images(noise=0.2, loss=0.5)) -> -1.8858
 30 * _noise(rand(2, 3, 40, 30), rand(40, 30, seed=3) > 0.5) -> 1.0675
-nearest_in_frames([images()], RIG) -> 0.2335
+NearestHypothesis(None).in_frames([images()], RIG) -> 0.2335
 body() -> -2.8559
 surround() -> 0.7073
 align_rig_direct(RIG, images(), DIRECTIONS, 0.4 + 0.3 * DIRECTIONS[:, 0], rand(642).float(), pixel=0.05) -> -111.0646
@@ -225,10 +220,8 @@ def test_a_video_ends_where_it_cannot_be_read_any_more() -> None:
 def content_of(path: Path) -> float:
     """What a reader of another library finds in a file."""
     if path.suffix == ".png":
-        values = np.atleast_3d(read_pages(path)[0]).transpose(2, 0, 1) / (
-            1000 if "depth/" in str(path) else 255
-        )
-        return coarse_sum(torch.from_numpy(values))
+        values = np.atleast_3d(read_pages(path)[0]).transpose(2, 0, 1)
+        return coarse_sum(torch.from_numpy(values / (1000 if "depth/" in str(path) else 255)))
     if path.suffix in (".ply", ".glb"):
         scene = trimesh.load(path, process=False)
         (shape,) = scene.geometry.values() if isinstance(scene, trimesh.Scene) else (scene,)
@@ -240,9 +233,8 @@ def content_of(path: Path) -> float:
     if path.suffix == ".mp4":
         with av.open(str(path)) as video:
             frames = [torch.from_numpy(frame.to_ndarray(format="rgb24")) for frame in video.decode(video=0)]
-            return float(video.streams.video[0].average_rate) + coarse_sum(
-                *(f.movedim(-1, 0) / 255.0 for f in frames)
-            )
+            rate = float(video.streams.video[0].average_rate)
+            return rate + coarse_sum(*(frame.movedim(-1, 0) / 255.0 for frame in frames))
     if path.suffix == ".html":
         encoded = re.findall(r"image/jpeg;base64,([^\"]+)", path.read_text())
         pictures = [cv2.imdecode(np.frombuffer(base64.b64decode(text), np.uint8), 1) for text in encoded]
@@ -275,10 +267,9 @@ def test_contents_of_files_stay(output: str, tmp_path: Path) -> None:
     """Of a rig far from the origin, in axes of a robot."""
     axes = torch.tensor([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
     outputs = Outputs(tmp_path, Settings([output], 24, 0.3, rate=7.0, axes=axes))
+    rig = RIG.replaced(origin=torch.tensor([100.0, -20, 30]).double())
     for number in range(3):
-        outputs.write(
-            str(number), depth(number, rig=RIG.replaced(origin=torch.tensor([100.0, -20, 30]).double()))
-        )
+        outputs.write(str(number), depth(number, rig=rig))
     outputs.close()
     contents = (content_of(path) for path in sorted(tmp_path.rglob("*")) if path.is_file())
     assert sum(contents) == pytest.approx(FILES[output], abs=0.05)

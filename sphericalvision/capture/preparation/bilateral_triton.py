@@ -53,9 +53,8 @@ def _kernel(  # type: ignore[no-untyped-def]
 def _nearness(radius: int, reach: float, device: torch.device) -> Tensor:
     """The weights of the pixels around, by their distance alone, row by row."""
     side = range(-radius, radius + 1)
-    return torch.tensor(
-        [math.exp(-0.5 * (y * y + x * x) / reach**2) for y in side for x in side], device=device
-    )
+    weights = [math.exp(-0.5 * (y * y + x * x) / reach**2) for y in side for x in side]
+    return torch.tensor(weights, device=device)
 
 
 def bilateral_kernel(

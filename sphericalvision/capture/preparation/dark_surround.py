@@ -42,20 +42,14 @@ def without_dark_surround(
         rig: whose fields of view may reach beyond the image circles.
         frames: some; what is dark in all of them is beyond.
     """
-    images: dict[str, list[Tensor]] = {name: [] for name in rig.names}
-    for frame in frames:
-        for name in rig.names:
-            images[name].append(frame[name])
-    angles = {
-        name: angle
-        for name, camera in rig.cameras.items()
-        if images[name] and (angle := dark_beyond(camera, images[name], rig.masks.get(name))) is not None
-    }
-    cameras = {
-        name: camera.with_max_angle(angles[name]) if name in angles else camera
-        for name, camera in rig.cameras.items()
-    }
-    return (rig.replaced(cameras) if angles else rig), angles
+    images = list(frames)
+    angles = {}
+    for name, camera in rig.cameras.items() if images else ():
+        angle = dark_beyond(camera, [frame[name] for frame in images], rig.masks.get(name))
+        if angle is not None:
+            angles[name] = angle
+    cameras = {name: rig.cameras[name].with_max_angle(angle) for name, angle in angles.items()}
+    return (rig.replaced({**rig.cameras, **cameras}) if angles else rig), angles
 
 
 @torch.no_grad()
@@ -97,13 +91,9 @@ def dark_beyond(
         rings.bincount((brightest[valid] > limit).double()) / counts.clamp(min=1) for limit in (DARK, BRIGHT)
     )
     # The last ring with few pixels is a part of its neighbour.
-    fractions = (
-        fractions[: int((counts >= FEWEST).nonzero().max()) + 1]
-        if bool((counts >= FEWEST).any())
-        else fractions[:0]
-    )
-    inside = (fractions >= 0.5).nonzero()
-    edge = int(inside.max()) if len(inside) else 0
+    last = max((counts >= FEWEST).nonzero().flatten().tolist(), default=-1)
+    fractions = fractions[: last + 1]
+    edge = max((fractions >= 0.5).nonzero().flatten().tolist(), default=0)
     outside = fractions[edge + BLURRED :]
     if edge < RINGS or len(outside) < DARK_RINGS or float(outside.max()) > OUTSIDE:
         return None

@@ -43,13 +43,22 @@ class NearestHypothesis(NamedTuple):
     metres: float | None
     usual: float | None = None
 
-    def in_frames(
-        self,
-        frames: Iterable[Mapping[str, Float[Tensor, "3 _ _"]]],
-        rig: CameraRig,
-    ) -> float:
-        """Return metres for what a few frames show; arguments as of ``nearest_in_frames``."""
-        metres = nearest_in_frames(frames, rig)
+    def in_frames(self, frames: Iterable[Mapping[str, Float[Tensor, "3 _ _"]]], rig: CameraRig) -> float:
+        """Return the nearest depth in metres that suits what a few frames show, from quick sweeps.
+
+        Args:
+            frames: camera name -> ``(3, h, w)`` in [0, 1].
+            rig: unbatched.
+
+        Examples:
+            >>> from sphericalvision.cameras import ring_rig
+            >>> from sphericalvision.scenes import make_scene, render_rig
+            >>> rig = ring_rig(3, radius=0.05, image_size=(32, 32))
+            >>> NearestHypothesis(None).in_frames([render_rig(make_scene("hall", seed=1), rig)], rig) > 0.06
+            True
+        """
+        intake = Intake(rig, Icosphere(SCENE_LEVEL))
+        metres = nearest_depth(torch.stack([intake(frame) for frame in frames]), rig, intake.seen)
         if self.usual is None or not metres / FAR_OFF <= self.usual <= metres * FAR_OFF:
             return metres
         return self.usual
@@ -76,52 +85,23 @@ def nearest_hypothesis(
         ArgumentError: for anything else, and for cameras in one place, unless metres are given.
     """
     follows = net.min_depth_follows if trained else "scene"
+    radius = float(rig.radius)
     if min_depth not in ("auto", "scene", None):
         metres = checked_min_depth(min_depth)
-        if (radius := float(rig.radius)) > 1e-6 and not NEARER < metres / radius < FARTHER:
+        if radius > 1e-6 and not NEARER < metres / radius < FARTHER:
             doubt = f"min_depth: {metres:g} m are {metres / radius:.2g} radii of the rig; are these metres?"
             warnings.warn(doubt, stacklevel=3)
         return NearestHypothesis(metres)
     check_places(rig)
     if min_depth == "scene" or (min_depth == "auto" and follows == "scene"):
         return NearestHypothesis(None)
+    # Scaling a rig and everything around it changes no image: a network that was trained with one ring of cameras
+    # serves any larger or smaller rig once its nearest hypothesis is scaled alike.
+    scaled = net.min_depth * radius / net.trained_radius
     if follows != "training":
-        return NearestHypothesis(scaled_min_depth(net, rig))
-    usual = max(net.min_depth, scaled_min_depth(net, rig) / LARGEST)
+        return NearestHypothesis(scaled)
+    usual = max(net.min_depth, scaled / LARGEST)
     return NearestHypothesis(usual) if min_depth is None else NearestHypothesis(None, usual)
-
-
-def nearest_in_frames(frames: Iterable[Mapping[str, Float[Tensor, "3 _ _"]]], rig: CameraRig) -> float:
-    """Return the nearest depth in metres that suits what a few frames show, from quick sweeps.
-
-    Args:
-        frames: camera name -> ``(3, h, w)`` in [0, 1].
-        rig: unbatched.
-
-    Examples:
-        >>> from sphericalvision.cameras import ring_rig
-        >>> from sphericalvision.scenes import make_scene, render_rig
-        >>> rig = ring_rig(3, radius=0.05, image_size=(32, 32))
-        >>> nearest_in_frames([render_rig(make_scene("hall", seed=1), rig)], rig) > 0.06
-        True
-    """
-    intake = Intake(rig, Icosphere(SCENE_LEVEL))
-    return nearest_depth(torch.stack([intake(frame) for frame in frames]), rig, intake.seen)
-
-
-def scaled_min_depth(net: DepthNetwork, rig: CameraRig) -> float:
-    """Return the nearest hypothesis in metres that a network was trained with, scaled as the rig is.
-
-    Scaling a rig and everything around it changes no image. A network that was trained with one ring of cameras serves
-    any larger or smaller rig once its nearest hypothesis is scaled alike. One that was trained with rings of all sizes
-    needs no scaling.
-
-    Raises:
-        ArgumentError: all cameras are in one place, so there is no size to scale by.
-    """
-    radius = float(rig.radius)
-    check_places(rig)
-    return net.min_depth * radius / net.trained_radius
 
 
 def check_places(rig: CameraRig) -> None:

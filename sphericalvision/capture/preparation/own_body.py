@@ -84,10 +84,9 @@ class OwnBody(NamedTuple):
     def described(self) -> list[str]:
         """Return a line for each camera."""
         why = f" ({self.reason or 'no body was seen'})"
-        fractions = self.shares.items()
         return [
             f"mask of {name}: {100 * share:.1f} % of its picture{'' if share else why}"
-            for name, share in fractions
+            for name, share in self.shares.items()
         ]
 
 
@@ -176,14 +175,12 @@ class _CameraEdges:
     def grey(self, image: Tensor) -> Floats:
         """A small grey image, its border continued beyond the field of view, its median brought to one value."""
         grey = image.detach().float().mean(0).cpu()
-        resized: Floats = cv2.resize(grey.numpy(), self.size[::-1], interpolation=cv2.INTER_AREA).astype(
-            np.float32
-        )
+        small = cv2.resize(grey.numpy(), self.size[::-1], interpolation=cv2.INTER_AREA)
+        resized: Floats = small.astype(np.float32)
         if not self.inside.any():
             return resized
-        return self.continued(resized) * np.float32(
-            MEAN_VALUE / max(float(np.median(resized[self.inside])), 0.05)
-        )
+        median = max(float(np.median(resized[self.inside])), 0.05)
+        return self.continued(resized) * np.float32(MEAN_VALUE / median)
 
     def continued(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Values of the nearest pixels inside, where a pixel is not."""
@@ -232,17 +229,11 @@ class _CameraEdges:
             return nothing
         seeds = np.where(self.inside, 0, -1)
         seeds[around], seeds[edges] = 1, 2
-        labels = random_walker(
-            self.median / (float(self.median[self.inside].std()) + 1e-6),
-            seeds,
-            mode="cg_j",
-            tol=1e-2,
-            prob_tol=0.5,
-        )
+        image = self.median / (float(self.median[self.inside].std()) + 1e-6)
+        labels = random_walker(image, seeds, mode="cg_j", tol=1e-2, prob_tol=0.5)
         body = self.inside & (labels == 2)
-        body = (
-            self.inside & _without_small(self.inside & ~body, SMALLEST * area, connectivity=4) ^ self.inside
-        )
+        surroundings = _without_small(self.inside & ~body, SMALLEST * area, connectivity=4)
+        body = self.inside & ~surroundings
         # A part of the body reaches the border of the picture, and is more than its edges.
         count, parts = cv2.connectedComponents(body.astype(np.uint8))
         border = self.inside & ~_eroded(self.inside, 3)
@@ -266,9 +257,8 @@ def _far(rig: CameraRig, cameras: Mapping[str, _CameraEdges], name: str) -> Bool
             continue
         between = rig.camera_from_world[other_place] @ rig.world_from_camera[place]
         for distance in DISTANCES:
-            points = directions @ between[:3, :3].mT + between[:3, 3] / max(
-                distance * float(rig.radius), 1e-6
-            )
+            metres = max(distance * float(rig.radius), 1e-6)
+            points = directions @ between[:3, :3].mT + between[:3, 3] / metres
             pixels, valid = rig.cameras[other].project(points)
             x, y = pixels.float().cpu().movedim(-1, 0).contiguous().numpy()
             warped: Any = cv2.remap(cameras[other].median, x, y, cv2.INTER_LINEAR)
@@ -371,6 +361,5 @@ def _dilated(mask: Bools, radius: int) -> Bools:
 def _eroded(mask: Bools, radius: int) -> Bools:
     """Pixels that are farther than ``radius`` from any outside of it, which the border of the image is, too."""
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1,) * 2)
-    return np.asarray(
-        cv2.erode(mask.astype(np.uint8), kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
-    )
+    pixels = mask.astype(np.uint8)
+    return np.asarray(cv2.erode(pixels, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0)

@@ -106,18 +106,11 @@ class PhotometricCalibration(NamedTuple):
             >>> [round(image.mean().item(), 2) for image in even.values()]
             [0.45, 0.45]
         """
-        return self.divided_out(images, pixel_angles(rig))
-
-    def divided_out(
-        self, images: Mapping[str, Float[Tensor, "*batch c _ _"]], angles: Mapping[str, Float[Tensor, "_ _"]]
-    ) -> dict[str, Float[Tensor, "*batch c _ _"]]:
-        """Return what ``corrected`` does, of the ``pixel_angles`` of the rig."""
         even = {}
-        for place, (name, angle) in enumerate(angles.items()):
+        for place, (name, angle) in enumerate(pixel_angles(rig).items()):
             window = slice(place, place + 1)
-            one = self._replace(
-                exposure=self.exposure[window], falloff=self.falloff[window], edge=self.edge[window]
-            )
+            own = self.exposure[window], self.falloff[window], self.edge[window]
+            one = PhotometricCalibration(*own, self.residual)
             even[name] = (images[name] / one.light(angle[None])[0].to(images[name])).clamp(0, 1)
         return even
 
@@ -134,9 +127,7 @@ class LightEstimate(NamedTuple):
 
     def calibration(self) -> PhotometricCalibration:
         """Return the same with plain numbers, for which a device is waited for."""
-        return PhotometricCalibration(
-            self.exposure, self.falloff, self.edge, float(self.residual), float(self.spread)
-        )
+        return PhotometricCalibration(*self[:3], float(self.residual), float(self.spread))
 
     def light(self, angles: Float[Tensor, " n *points"]) -> Float[Tensor, "n c *points"]:
         """Return factors as ``PhotometricCalibration.light`` does."""
@@ -204,7 +195,9 @@ def calibrate_photometry(
         >>> [round(share.item(), 2) for share in shown], round(0.5 ** (1 / 2.2), 2)
         ([0.73, 0.73, 0.73, 0.73], 0.73)
     """
-    return Photometer(rig, depth)(images)
+    photometer = Photometer(rig, depth)
+    check_images_of(rig, images)
+    return photometer.estimate(images).calibration()
 
 
 class Photometer:
@@ -219,20 +212,16 @@ class Photometer:
         check_single(rig)
         if depth is not None and not depth > 0:
             raise ArgumentError(f"depth: expected metres above 0, got {depth!r}")
-        self.rig = rig
         self._small = reduced_rig(rig, math.sqrt(4 * math.pi / _POINTS))
-        finer = {
-            name: [
-                min(_FINER * length, full)
-                for length, full in zip(small.image_size, camera.image_size, strict=True)
-            ]
-            for (name, camera), small in zip(rig.cameras.items(), self._small.cameras.values(), strict=True)
-        }
-        fine = rig.resized(finer)
 
-        def view(
-            name: str,
-        ) -> tuple[Tensor, Tensor]:  # pixels that are seen as a whole, and the largest angle
+        def size(name: str) -> tuple[int, ...]:
+            small, full = self._small.cameras[name].image_size, rig.cameras[name].image_size
+            return tuple(min(_FINER * length, most) for length, most in zip(small, full, strict=True))
+
+        fine = rig.resized(_of_cameras(rig, size))
+
+        def view(name: str) -> tuple[Tensor, Tensor]:
+            """Pixels that are seen as a whole, and the largest angle."""
             directions, inside = fine.cameras[name].unproject(fine.cameras[name].pixel_grid())
             edge = angle_from_axis(directions).where(inside, 0.0).amax()
             return resized_mask(inside, self._small.cameras[name].image_size), edge
@@ -242,21 +231,15 @@ class Photometer:
         self._edge = torch.stack([edge for _, edge in views.values()])
         radius = float(rig.radius)
         distances = [far * radius for far in _DISTANCES] if depth is None else [depth]
-        self._points = _Points(
-            self._small, self._inside, self._edge, [1 / d if d > 0 else 0.0 for d in distances]
-        )
-
-    def __call__(self, images: Mapping[str, Float[Tensor, "*batch c _ _"]]) -> PhotometricCalibration:
-        """Estimate exposure and vignetting.
-
-        Args:
-            images: as of ``calibrate_photometry``; so are the errors.
-        """
-        check_images_of(self.rig, images)
-        return self.estimate(images).calibration()
+        inverse_depths = [1 / distance if distance > 0 else 0.0 for distance in distances]
+        self._points = _Points(self._small, self._inside, self._edge, inverse_depths)
 
     def estimate(self, images: Mapping[str, Float[Tensor, "*batch c _ _"]]) -> LightEstimate:
-        """Return what a call does as tensors: no number goes to the host, for which a device would be waited for."""
+        """Return exposure and vignetting as tensors: no number goes to the host, which would wait for a device.
+
+        Args:
+            images: as of ``calibrate_photometry``, not checked.
+        """
         small = averaged(self._small, images)
         frames = [
             small[name].reshape(-1, *small[name].shape[-3:]) * inside for name, inside in self._inside.items()
@@ -268,9 +251,8 @@ class Photometer:
         others = ends[1:].index_select(1, strength.argmax()[None])[:, 0]
         number = valid.sum()
         mean = (others * valid).sum() / number.clamp(min=1)
-        spread = (
-            (number - 1).clamp(min=0) * ((others - mean).square() * valid).sum() / number.clamp(min=1)
-        ).sqrt()
+        squares = ((others - mean).square() * valid).sum()
+        spread = ((number - 1).clamp(min=0) * squares / number.clamp(min=1)).sqrt()
         return LightEstimate(exposure[0], falloff[0], self._edge, residual, spread, strength.amax())
 
 
@@ -289,13 +271,9 @@ class _Points:
         depths = directions.new_tensor(inverse_depths)
         seen = rig.project_along(directions, depths)
         self.num_depths = len(inverse_depths)
+        pixels, valid = seen.pixels.flatten(1, 2).unsqueeze(-2), seen.valid.flatten(1).unsqueeze(-1)
         self.lookups = [
-            image_lookup(
-                seen.pixels[place].flatten(0, 1).unsqueeze(-2),
-                seen.valid[place].flatten()[:, None],
-                camera.image_size,
-                edges=camera.edges,
-            )
+            image_lookup(pixels[place], valid[place], camera.image_size, edges=camera.edges)
             for place, camera in enumerate(rig.cameras.values())
         ]
         # Near the border of its view a camera sees a part of a pixel only.
@@ -373,12 +351,8 @@ class _Points:
         answers = solved(without, targets).to(self.share)
         exposure, falloff = answers.split((number * channels, 2 * number), -1)
         valid = (used[0].any(1)[:, None] & (self.parts > 0)).any(-1).any(0)
-        return (
-            exposure.unflatten(1, (number, channels)),
-            falloff.unflatten(1, (number, 2)),
-            valid,
-            residual.index_select(0, best)[0],
-        )
+        exposure, falloff = exposure.unflatten(1, (number, channels)), falloff.unflatten(1, (number, 2))
+        return exposure, falloff, valid, residual.index_select(0, best)[0]
 
     def _of_pairs(self, values: Tensor) -> Tensor:
         """The points that both see ``(D, pairs, b * c, points)``, of ``(pairs, b, c, D * all points)``."""
@@ -414,9 +388,8 @@ class _Points:
             each if depth is None else each.index_select(0, depth) for each in (self.rows, self.squares)
         )
 
-        def sums(
-            factors: Tensor, of: Tensor
-        ) -> Tensor:  # (D, parts, pairs, c, values), over points and frames
+        def sums(factors: Tensor, of: Tensor) -> Tensor:
+            """Over points and frames ``(D, parts, pairs, c, values)``."""
             grouped = factors.unflatten(2, (-1, to_all.shape[1])).sum(2)[:, :, None]
             if depth is not None:
                 grouped = grouped * self.parts[:, :, None]
@@ -427,14 +400,14 @@ class _Points:
         return flat.mT @ products.flatten(2, 4), sums(weighted, rows).flatten(2) @ flat
 
 
-def median_of_known(values: Float[Tensor, "rows number"]) -> Float[Tensor, " rows"]:
+def _median(values: Float[Tensor, "rows number"]) -> Float[Tensor, " rows"]:
     """Return the lower median of each row of values of 0 or more, of those that are no NaN; 0 where there is none.
 
     Examples:
         >>> median_of_known(torch.tensor([[3.0, math.nan, 1.0, 2.0], [math.nan] * 4]))
         tensor([2., 0.])
     """
-    return _median(values)
+    return values.nanmedian(1).values.nan_to_num(0.0)
 
 
 def _median_in_triton(values: Tensor) -> Tensor:
@@ -443,10 +416,10 @@ def _median_in_triton(values: Tensor) -> Tensor:
     return light_triton.nanmedian_kernel(values).nan_to_num(0.0).to(values.dtype)
 
 
-_median = Operator(lambda values: values.nanmedian(1).values.nan_to_num(0.0), triton=_median_in_triton)
+median_of_known = Operator(_median, triton=_median_in_triton)
 
 
-def solved(matrix: Float[Tensor, "*b n n"], right: Float[Tensor, "*b n"]) -> Float[Tensor, "*b n"]:
+def _solve(matrix: Float[Tensor, "*b n n"], right: Float[Tensor, "*b n"]) -> Float[Tensor, "*b n"]:
     """Solve positive definite systems, on a device without a word to the host.
 
     Libraries report singular matrices to the host, which waits for them; these are never singular, and small.
@@ -455,7 +428,7 @@ def solved(matrix: Float[Tensor, "*b n n"], right: Float[Tensor, "*b n"]) -> Flo
         >>> solved(torch.tensor([[2.0, 1.0], [1.0, 2.0]]), torch.tensor([3.0, 0.0]))
         tensor([ 2., -1.])
     """
-    return _solve(matrix, right)
+    return torch.linalg.solve(matrix, right)
 
 
 def _solve_in_triton(matrix: Tensor, right: Tensor) -> Tensor:
@@ -480,6 +453,9 @@ def eliminated(matrix: Float[Tensor, "*b n n"], right: Float[Tensor, "*b n"]) ->
         column = system[..., place] - unit[place]
         system = torch.addcmul(system, column.unsqueeze(-1), row.unsqueeze(-2), value=-1)
     return system[..., -1]
+
+
+solved = Operator(_solve, triton=_solve_in_triton, fused=eliminated)
 
 
 def _held(number: int, channels: int, like: Tensor) -> Tensor:
@@ -521,6 +497,3 @@ def averaged(
             image = flat.reshape(*image.shape[:-2], *camera.image_size)
         small[name] = image
     return small
-
-
-_solve = Operator(torch.linalg.solve, triton=_solve_in_triton, fused=eliminated)

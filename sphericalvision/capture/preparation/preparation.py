@@ -52,9 +52,9 @@ MOST_SAMPLES = 50_000
 class _Usable(NamedTuple):
     """Where the window of the filter sees nothing but what a mask leaves; None without a mask."""
 
-    pixels: Tensor | None
+    pixels: Tensor | None = None
     """Of the images ``(h, w)``."""
-    means: Tensor | None
+    means: Tensor | None = None
     """Of the averaged ones."""
 
 
@@ -177,17 +177,14 @@ class Compensator:
         }
         masks |= {name: mask[None].float() for name, mask in rig.masks.items()}
         means = averaged(masks) if rig.masks else {}
-        self._usable = {
-            name: _Usable(_inside(rig.masks[name]), _inside(means[name][0] > WHOLE))
-            if name in rig.masks
-            else _Usable(None, None)
-            for name in rig.names
-        }
+        self._usable = dict.fromkeys(rig.names, _Usable())
+        for name, mask in rig.masks.items():
+            self._usable[name] = _Usable(_inside(mask), _inside(means[name][0] > WHOLE))
 
     @cached_property
-    def photometer(self) -> Photometer:
-        """Of the rig."""
-        return Photometer(self.rig)
+    def light(self) -> Callable[[Mapping[str, Tensor]], LightEstimate]:
+        """Tells of images how exposure and vignetting of the cameras differ; a batch counts as one frame."""
+        return Photometer(self.rig).estimate
 
     def brightened(
         self, images: Mapping[str, Shaped[Tensor, "b c _ _"]]
@@ -203,7 +200,7 @@ class Compensator:
         bright = ordered.double()
         dark = (bright > BLACK) & (bright < DARK)
         gains = (BRIGHT / bright).where(dark, 1.0)
-        if not needed(dark):
+        if not may_hold(dark):
             return dict(images), gains
         factors = gains.to(values.dtype).view(-1, 1, 1, 1)
         chosen = dark.view(-1, 1, 1, 1)
@@ -217,29 +214,14 @@ class Compensator:
     ) -> tuple[dict[str, Float[Tensor, "b c _ _"]], Float[Tensor, "b n"]]:
         """Return averaged images without noise, and how much there was in those of each camera."""
         means = self._averaged(images)
-        smooth, noise = _smooth_cameras(
-            list(images.values()),
-            [means[name] for name in images],
-            [self._usable[name] for name in images],
-        )
+        usable = [self._usable[name] for name in images]
+        smooth, noise = _smooth_cameras(list(images.values()), [means[name] for name in images], usable)
         return dict(zip(images, smooth, strict=True)), noise
-
-    def light(self, images: Mapping[str, Float[Tensor, "*batch c _ _"]]) -> LightEstimate:
-        """Return how exposure and vignetting of the cameras differ; a batch counts as one frame."""
-        return self.photometer.estimate(images)
 
 
 def differs(light: LightEstimate) -> Bool[Tensor, ""]:
     """Return whether a difference between cameras is large enough, and sure enough, to be taken out."""
     return light.strength - SURE * light.spread > LEAST_LIGHT
-
-
-def needed(condition: Bool[Tensor, "*any"]) -> bool:
-    """Return whether what is chosen where a condition holds has to be computed.
-
-    A CPU leaves out what nothing asks for. A device would have to be waited for to know, and computes it.
-    """
-    return may_hold(condition)
 
 
 def compensated(
@@ -257,7 +239,7 @@ def compensated(
     flat = {name: image.reshape(-1, *image.shape[-3:]) for name, image in images.items()}
     smooth, _ = compensator.smoothed(compensator.brightened(flat)[0])
     light = compensator.light(smooth)
-    if needed(differs(light)):
+    if may_hold(differs(light)):
         even = light.calibration().corrected(rig, smooth)
         smooth = {name: image.where(differs(light), smooth[name]) for name, image in even.items()}
     return {name: image.view_as(images[name]) for name, image in smooth.items()}
@@ -279,7 +261,7 @@ def _smoothed(image: Tensor, means: Tensor, usable: _Usable) -> tuple[Tensor, Te
     """
     noise = _noise(image.detach(), usable.pixels)
     noise = noise.where(noise >= LEAST_NOISE, 0.0)
-    if not needed(noise > 0):
+    if not may_hold(noise > 0):
         return means, noise
     shrink = image.shape[-1] / means.shape[-1]
     chosen = (noise > 0).view(-1, 1, 1, 1)
@@ -346,11 +328,9 @@ def bilateral(image: Float[Tensor, "b c h w"], deviation: Float[Tensor, " b"]) -
 def _bilateral_in_triton(image: Tensor, steepness: Tensor, mode: str) -> Tensor:
     if image.dtype != torch.float32 or mode != "reflect":
         return NotImplemented
-    from sphericalvision.capture.preparation.bilateral_triton import (
-        bilateral_kernel,  # Triton is not everywhere
-    )
+    from sphericalvision.capture.preparation import bilateral_triton  # Triton is not everywhere
 
-    return bilateral_kernel(image, steepness, WINDOW // 2, REACH)
+    return bilateral_triton.bilateral_kernel(image, steepness, WINDOW // 2, REACH)
 
 
 def _bilateral_by_shifts(image: Tensor, steepness: Tensor, mode: str) -> Tensor:

@@ -146,13 +146,12 @@ def align_rig(predictor: Predictor, frames: Iterable[Mapping[str, Any]]) -> RigT
     depths = estimate(predictor)
     verdict = latest = _estimated(depths)
     for _ in range(ROUNDS - 1):
-        if not verdict.turns.norm(dim=-1).max() < MOST or _largest(latest) < AGAIN:
+        if not _largest(verdict) < MOST or _largest(latest) < AGAIN:
             break
         latest = _estimated(estimate(predictor.with_changes(turned(rig, verdict.turns))))
         rotations = about_most(_between(rig, turned(latest.rig, latest.turns)))
-        verdict = latest._replace(
-            rig=rig, turns=rotations, agreement=(verdict.agreement[0], latest.agreement[1])
-        )
+        agreement = (verdict.agreement[0], latest.agreement[1])
+        verdict = latest._replace(rig=rig, turns=rotations, agreement=agreement)
     sizes = verdict.turns.norm(dim=-1)
     sure = sizes > SURE * verdict.spread
     if len(rig) == 2:  # which of the two it was cannot be told
@@ -192,11 +191,6 @@ def _largest(verdict: RigTurns) -> float:
     return float(verdict.turns.norm(dim=-1).max())
 
 
-def _pixel(rig: CameraRig) -> float:
-    """Radians of a pixel of the first step, at least."""
-    return max(STEPS[0][0], *(1 / pixels_a_radian(camera) for camera in rig.cameras.values()))
-
-
 def _between(one: CameraRig, other: CameraRig) -> Tensor:
     """Rotation vectors ``(n, 3)`` in the world from the cameras of one rig to those of the other."""
     moved = other.world_from_camera.double() @ invert_transform(one.world_from_camera.double())
@@ -209,10 +203,8 @@ def _estimated(depths: Sequence[Depth]) -> RigTurns:
     pixel = min(step[0] for step in STEPS)
     better = reduced_rig(rig, pixel)
     compensator = Compensator(rig, partial(averaged, better))
-    frames = [
-        compensator.smoothed({name: image[None] for name, image in depth.images.items()})[0]
-        for depth in depths
-    ]
+    batches = ({name: image[None] for name, image in depth.images.items()} for depth in depths)
+    frames = [compensator.smoothed(batch)[0] for batch in batches]
     images = {name: torch.cat([frame[name] for frame in frames]) for name in rig.names}
     agreements = []
     for pixel, blur, iterations, level in STEPS:
@@ -223,9 +215,10 @@ def _estimated(depths: Sequence[Depth]) -> RigTurns:
         )
         better = alignment.rig
         agreements.append(alignment.agreement)
-    bias = _pixel(rig) * BIAS
+    coarse = max(STEPS[0][0], *(1 / pixels_a_radian(camera) for camera in rig.cameras.values()))
+    bias = coarse * BIAS
     if len(rig) == 2:
-        bias = _pixel(rig) * BIAS_OF_TWO * max(1.0, math.sqrt(USUAL_OBSERVABILITY / _observability(rig)))
+        bias = coarse * BIAS_OF_TWO * max(1.0, math.sqrt(USUAL_OBSERVABILITY / _observability(rig)))
     spread = (alignment.spread.double().square() + bias**2).sqrt()
     return RigTurns(rig, about_most(_between(rig, better)), spread, agreement=agreements[0])
 

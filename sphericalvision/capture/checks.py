@@ -247,7 +247,5 @@ class PhotoConsistency:
             self._made_for = rig, near
         index, _ = depth.network.index_at(depth.index[None].float(), Icosphere(self.level - 1).vertices)
         index = index * ((JUDGED_WITH - 1) / (depth.network.num_hypotheses - 1))
-        images = self._intake(depth.images)[None]
-        return float(
-            photo_consistency_share(index, images, self._tables, JUDGED_WITH, near, self._intake.seen)
-        )
+        images, seen = self._intake(depth.images)[None], self._intake.seen
+        return float(photo_consistency_share(index, images, self._tables, JUDGED_WITH, near, seen))

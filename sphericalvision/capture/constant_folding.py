@@ -88,9 +88,8 @@ def _store(traced: GraphModule, node: Node, value: Tensor, name: str) -> Node:
         result = traced.graph.get_attr(name)
         if ids is not None:
             traced.register_buffer(f"{name}_ids", ids.int())
-            result = traced.graph.call_function(
-                torch.ops.aten.index_select.default, (result, 0, traced.graph.get_attr(f"{name}_ids"))
-            )
+            rows_and_ids = (result, 0, traced.graph.get_attr(f"{name}_ids"))
+            result = traced.graph.call_function(torch.ops.aten.index_select.default, rows_and_ids)
         if widened:
             result = traced.graph.call_function(torch.ops.aten.to.dtype, (result, torch.int64))
         if ids is not None:

@@ -10,7 +10,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, TypeVar
 
 import torch
@@ -107,7 +106,6 @@ def estimate_frames(
                     yield from results
 
 
-@dataclass
 class _LastFrame:
     """The depth of the frame before, carried on from frame to frame.
 
@@ -116,13 +114,10 @@ class _LastFrame:
         selected: whether the depth of a frame is asked for.
     """
 
-    order: list[str]
-    selected: Callable[[str], bool]
-    position: dict[str, int] = field(init=False)
-    before: tuple[int, CarriedDepth] | None = None
-
-    def __post_init__(self) -> None:
-        self.position = {name: position for position, name in enumerate(self.order)}
+    def __init__(self, order: list[str], selected: Callable[[str], bool]) -> None:
+        self.order, self.selected = order, selected
+        self.position = {name: position for position, name in enumerate(order)}
+        self.before: tuple[int, CarriedDepth] | None = None
 
     def is_needed(self, name: str) -> bool:
         """Whether a frame or one of the next ten is selected."""

@@ -111,10 +111,9 @@ class RigProgram(nn.Module):
             named = dict(zip(self.intake.rig.names, images.unbind(1), strict=True))
             images = signed(self.intake.looked_up(self.intake.averaged(named)), self.seen)
         leaves = [getattr(self, f"table{k}") if leaf is None else leaf for k, leaf in enumerate(self.leaves)]
+        rig = _pytree.tree_unflatten(leaves, self.structure)
         with in_precision(self.precision, images.device):
-            index, confidence, seen = self.net.predict(
-                images, _pytree.tree_unflatten(leaves, self.structure), self.seen
-            )
+            index, confidence, seen = self.net.predict(images, rig, self.seen)
         confidence = confidence.float()
         inverse_depth = inverse_depth_from_index(index.float(), self.net.num_hypotheses, self.net.min_depth)
         if self.shape is None:
@@ -123,11 +122,9 @@ class RigProgram(nn.Module):
         together = torch.stack((inverse_depth, confidence, seen.to(inverse_depth))).flatten(0, 1)
         values, reached = self.net.index_at(together, self.rays)
         inverse_depth, confidence, seen_by_two = values.unflatten(0, (3, -1)).unbind()
-        return (
-            positive(inverse_depth).where(reached, float("nan")).view(shape),
-            confidence.view(shape),
-            ((seen_by_two > 0.5) & reached).view(shape),
-        )
+        inverse_depth = positive(inverse_depth).where(reached, float("nan"))
+        seen = (seen_by_two > 0.5) & reached
+        return inverse_depth.view(shape), confidence.view(shape), seen.view(shape)
 
 
 def description(program: RigProgram) -> dict[str, str]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -141,12 +140,8 @@ class FusedCloud:
             return
         with atomic_write(path) as temporary:
             frames = np.array(list(self.frames), dtype=np.str_)
-            arrays: dict[str, Any] = {
-                "cubes": self._cubes.numpy(),
-                "sums": self._sums.numpy(),
-                "origin": self.origin.numpy(),
-            }
-            np.savez(temporary, frames=frames, side=self.side, **arrays)
+            cubes, sums, origin = (each.numpy() for each in (self._cubes, self._sums, self.origin))
+            np.savez(temporary, frames=frames, side=self.side, cubes=cubes, sums=sums, origin=origin)
         self._written = time.monotonic()
         self._took = self._written - start
 
@@ -159,11 +154,8 @@ class FusedCloud:
             fused = cls(float(arrays["side"]))
             fused.frames = dict.fromkeys(map(str, arrays["frames"].tolist()))
             fused._cubes, fused._sums, fused.origin = (torch.from_numpy(arrays[key]) for key in keys[2:])
-            if (
-                fused._sums.shape != (len(fused._cubes), 12)
-                or fused.origin.shape != (3,)
-                or not fused.side > 0
-            ):
+            fits = fused._sums.shape == (len(fused._cubes), 12) and fused.origin.shape == (3,)
+            if not fits or not fused.side > 0:
                 raise ValueError(f"{tuple(fused._sums.shape)} sums of {len(fused._cubes)} cubes")
         except (ValueError, TypeError) as error:
             raise FileFormatError(
@@ -192,11 +184,9 @@ class FusedCloud:
         self._sums[:, 1:4] = (self._sums[:, 1:4] + self._sums[:, :1] * (cells & 1)) / 2
         coarse = _packed(cells >> 1)
         self._cubes, sums = _summed(coarse, self._sums)
-        where = torch.searchsorted(self._cubes, coarse)
-        where = where[:, None].expand(-1, 2)
-        sums[:, CONFIRMED:] = torch.zeros(len(sums), 2).scatter_reduce_(
-            0, where, self._sums[:, CONFIRMED:], "amax"
-        )
+        where = torch.searchsorted(self._cubes, coarse)[:, None].expand(-1, 2)
+        counts = self._sums[:, CONFIRMED:]
+        sums[:, CONFIRMED:] = torch.zeros(len(sums), 2).scatter_reduce_(0, where, counts, "amax")
         self._sums, self.side = sums, 2 * self.side
 
 

@@ -89,10 +89,8 @@ class GraphedFunction:
 
     def __call__(self, *inputs: Tensor, **options: Any) -> Any:
         """Return what the function returns."""
-        key = (
-            tuple((tuple(value.shape), value.dtype, value.device) for value in inputs),
-            tuple(options.items()),
-        )
+        kinds = tuple((tuple(value.shape), value.dtype, value.device) for value in inputs)
+        key = kinds, tuple(options.items())
         with _turns:
             if key not in self._called:
                 self._called.add(key)

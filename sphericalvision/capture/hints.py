@@ -17,13 +17,7 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.checks import check_rigid
 from sphericalvision.capture.result import Depth
-from sphericalvision.core import (
-    ArgumentError,
-    ShapeError,
-    check_choice,
-    check_tensor,
-    check_type,
-)
+from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_tensor, check_type
 from sphericalvision.geometry.surfaces import distance_along
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.models.candidate_refinement import ring_around
@@ -335,11 +329,8 @@ class CarriedDepth:
         mean = (own * now + weight * carried.where(carries, 0.0)) / total
         number = depth.network.num_hypotheses
         index = index_from_inverse_depth(mean, number, depth.min_depth).clamp(max=number - 1)
-        return replace(
-            depth,
-            index=index.to(depth.index).where(carries, depth.index.flatten()).view_as(depth.index),
-            accumulated=total.view_as(depth.index),
-        )
+        index = index.to(depth.index).where(carries, depth.index.flatten())
+        return replace(depth, index=index.view_as(depth.index), accumulated=total.view_as(depth.index))
 
     def _from_now(self, depth: Depth) -> Tensor:
         """``(4, 4)`` from where the rig's positions now are counted from to where those before are."""
@@ -391,9 +382,8 @@ def _view(
     rays, values = rays.detach().float(), values.detach().float()
     if not isinstance(weight, Real):
         check_tensor("weight", weight, "a number, or one for each value")
-    weights = (
-        torch.as_tensor(weight, dtype=torch.float32, device=values.device).flatten().expand(values.shape)
-    )
+    weights = torch.as_tensor(weight, dtype=torch.float32, device=values.device)
+    weights = weights.flatten().expand(values.shape)
     if bool(((weights < 0) | (weights > 1)).any()):
         raise ArgumentError(
             f"weight: expected 0 to 1, got {weights.min().item():g} to {weights.max().item():g}"

@@ -44,19 +44,15 @@ def floor_up(depth: Depth) -> Float[Tensor, " 3"] | None:
         tensor(True)
     """
     directions = depth.directions.reshape(-1, 3).double().cpu()
-    inverse, confidence = (
-        depth.inverse_depth.flatten().double().cpu(),
-        depth.confidence.flatten().double().cpu(),
-    )
+    inverse, confidence = (x.flatten().double().cpu() for x in (depth.inverse_depth, depth.confidence))
     below = depth.seen.flatten().cpu() & (directions[:, 1] > BELOW)
     directions, inverse, weights = directions[below], inverse[below], confidence[below]
     if len(inverse) < 3:
         return None
     # Planes through three directions each, drawn by their confidence and always the same ones.
     generator = torch.Generator().manual_seed(0)
-    triples = torch.multinomial(weights.clamp_min(1e-6), 3 * NUM_PLANES, True, generator=generator).view(
-        -1, 3
-    )
+    drawn = torch.multinomial(weights.clamp_min(1e-6), 3 * NUM_PLANES, True, generator=generator)
+    triples = drawn.view(-1, 3)
     triples = triples[torch.linalg.det(directions[triples]).abs() > 1e-3]  # of one line there is no plane
     planes = torch.linalg.solve(directions[triples], inverse[triples].unsqueeze(-1)).squeeze(-1)
     planes = planes[planes[:, 1] > MAX_LEAN * planes.norm(dim=-1)]
@@ -67,9 +63,8 @@ def floor_up(depth: Depth) -> Float[Tensor, " 3"] | None:
     for _ in range(3):  # what lies on the better plane makes it better still
         is_close = (directions @ plane - inverse).abs() < TOLERANCE * inverse
         scale = weights[is_close].sqrt()[:, None]
-        plane = torch.linalg.lstsq(scale * directions[is_close], scale * inverse[is_close, None]).solution[
-            :, 0
-        ]
+        answer = torch.linalg.lstsq(scale * directions[is_close], scale * inverse[is_close, None])
+        plane = answer.solution[:, 0]
     if float(weights[is_close].sum()) < MIN_FLOOR * float(weights.sum()):
         return None
     return -torch.nn.functional.normalize(plane, dim=0).float()

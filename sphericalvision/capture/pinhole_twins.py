@@ -68,18 +68,3 @@ def pinhole_twins(camera: Camera) -> list[PinholeTwin]:
         if not name or twin.remap.mask().float().mean() >= LEAST:
             twins.append(twin)
     return twins
-
-
-class PinholeTwins:
-    """Twins of cameras that come again and again, whose tables are made once."""
-
-    def __init__(self) -> None:
-        self._made: list[tuple[Camera, list[PinholeTwin]]] = []
-
-    def of(self, camera: Camera) -> list[PinholeTwin]:
-        """Return ``pinhole_twins(camera)``."""
-        for earlier, twins in self._made:
-            if earlier.equals(camera):
-                return twins
-        self._made.append((camera, pinhole_twins(camera)))
-        return self._made[-1][1]

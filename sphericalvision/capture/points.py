@@ -196,9 +196,5 @@ def voxel_means(cloud: SurfacePoints, side: float) -> SurfacePoints:
         total = columns.new_zeros(len(counts), columns.shape[1]).index_add_(0, ids, columns)
         return (total / counts[:, None]).reshape(len(counts), *values.shape[1:])
 
-    return SurfacePoints(
-        mean(cloud.points),
-        mean(cloud.colors),
-        F.normalize(mean(cloud.normals), dim=-1),
-        mean(cloud.confidence),
-    )
+    means = SurfacePoints(*map(mean, cloud))
+    return means._replace(normals=F.normalize(means.normals, dim=-1))

@@ -291,9 +291,8 @@ class Predictor:
         check_type("hint", hint, DepthHint, "hint.on(predictor.grid, predictor.rig) makes one")
         for name, values in zip(("inverse_depth", "weight"), hint, strict=True):
             check_tensor(f"hint.{name}", values, "(B, V)")
-        inverse_depth, weight = result = DepthHint(
-            *(values.to(self.device, torch.float32) for values in hint)
-        )
+        result = DepthHint(*(values.to(self.device, torch.float32) for values in hint))
+        inverse_depth, weight = result
         valid = (inverse_depth >= 0) & inverse_depth.isfinite() & (weight > 0) & (weight <= 1)
         if inverse_depth.shape == weight.shape and not holds((weight == 0) | valid):
             raise ArgumentError(

@@ -93,10 +93,6 @@ class PseudoLabeller:
         )
         corrected = (sure_sweep > ALL_SURE) & (estimate.confidence < UNSURE)
         index = swept_index.where(corrected, estimate.index)
-        return PseudoLabels(
-            inverse_depth_from_index(index, *self.hypotheses)[0],
-            (corrected | (estimate.confidence >= UNSURE))[0],
-            (correlation[0] * 255).round().byte(),
-            two_see[0],
-            fraction,
-        )
+        inverse_depth = inverse_depth_from_index(index, *self.hypotheses)
+        valid, levels = corrected | (estimate.confidence >= UNSURE), (correlation[0] * 255).round().byte()
+        return PseudoLabels(inverse_depth[0], valid[0], levels, two_see[0], fraction)

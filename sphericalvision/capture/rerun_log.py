@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 from typing import Any, Self
 
 import torch
 
-from sphericalvision.capture.pinhole_twins import PinholeTwins
+from sphericalvision.cameras import Camera
+from sphericalvision.capture.pinhole_twins import PinholeTwin, pinhole_twins
 from sphericalvision.capture.result import Depth
 from sphericalvision.core import ArgumentError
 from sphericalvision.io.files import atomic_write
@@ -41,13 +41,16 @@ class RerunLog:
     """
 
     def __init__(self, path: str | Path, height: int = 256) -> None:
-        self._rerun = _rerun()
+        try:
+            self._rerun = import_module("rerun")
+        except ImportError:
+            raise ArgumentError("rerun: not installed; pip install rerun-sdk") from None
         self.path, self.height = Path(path), height
         self._writing = atomic_write(self.path)
         self._stream = self._rerun.RecordingStream("sphericalvision")
         self._stream.save(self._writing.__enter__())
         self._origin: torch.Tensor | None = None
-        self._twins = PinholeTwins()
+        self._twins: list[tuple[Camera, list[PinholeTwin]]] = []
         self._stream.log("world", self._rerun.ViewCoordinates.RDF, static=True)
 
     def __enter__(self) -> Self:
@@ -66,11 +69,10 @@ class RerunLog:
         self._origin = rig.origin if self._origin is None else self._origin  # one for all frames
         offset = (rig.origin - self._origin).float()
         for name, pose in zip(rig.names, rig.world_from_camera.float().numpy(), strict=True):
-            stream.log(
-                f"world/{name}", rr.Transform3D(translation=pose[:3, 3] + offset.numpy(), mat3x3=pose[:3, :3])
-            )
+            position = pose[:3, 3] + offset.numpy()
+            stream.log(f"world/{name}", rr.Transform3D(translation=position, mat3x3=pose[:3, :3]))
             stream.log(f"world/{name}/image", rr.Image(as_bytes(images[name])).compress())
-            for twin in self._twins.of(rig.cameras[name]):
+            for twin in self._twins_of(rig.cameras[name]):
                 entity = f"world/{name}/{twin.name or 'pinhole'}"
                 focal, center = twin.camera.focal_length.tolist(), twin.camera.principal_point.tolist()
                 pinhole = rr.Pinhole(
@@ -91,14 +93,15 @@ class RerunLog:
         shades = (255 * cloud.colors.clamp(0, 1)).round().byte().cpu().numpy()
         stream.log("world/points", rr.Points3D((cloud.points.cpu() + offset).numpy(), colors=shades))
 
+    def _twins_of(self, camera: Camera) -> list[PinholeTwin]:
+        """``pinhole_twins``, made once: their tables are large, and cameras come again with each frame."""
+        for earlier, twins in self._twins:
+            if earlier.equals(camera):
+                return twins
+        self._twins.append((camera, pinhole_twins(camera)))
+        return self._twins[-1][1]
+
     def close(self) -> None:
         """Finish the file."""
         self._stream.disconnect()
         self._writing.__exit__(None, None, None)
-
-
-def _rerun() -> ModuleType:
-    try:
-        return import_module("rerun")
-    except ImportError:
-        raise ArgumentError("rerun: not installed; pip install rerun-sdk") from None

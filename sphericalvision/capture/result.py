@@ -80,8 +80,8 @@ class Depth:
         network: the network; ``network.grid`` is the grid of the values.
         rig: the cameras.
         images: camera name -> ``(*b, 3, h, w)`` in [0, 1], for colours.
-        corrections: of each frame a ``Correction`` or ``Compensation``, what was taken out of its images before depth
-            was estimated; ``compensations`` has plain numbers.
+        corrections: of each frame a ``Correction``, what was taken out of its images before depth was estimated;
+            ``compensations`` has plain numbers.
         accumulated: ``(*grid)`` ``information`` of the average with the frames before; None for one frame alone.
 
     Examples:
@@ -100,7 +100,7 @@ class Depth:
     network: DepthNetwork
     rig: CameraRig
     images: Mapping[str, Tensor] = field(repr=False)
-    corrections: tuple[Correction | Compensation, ...] = field(default=(), repr=False)
+    corrections: tuple[Correction, ...] = field(default=(), repr=False)
     accumulated: Float[Tensor, "*batch_and_grid"] | None = field(default=None, repr=False)
 
     @property
@@ -142,10 +142,7 @@ class Depth:
     @property
     def compensations(self) -> tuple[Compensation, ...]:
         """Of each frame what was taken out of its images; none where that was not asked for."""
-        return tuple(
-            part if isinstance(part, Compensation) else part.compensation(self.rig)
-            for part in self.corrections
-        )
+        return tuple(correction.compensation(self.rig) for correction in self.corrections)
 
     @property
     def batch_shape(self) -> tuple[int, ...]:
@@ -176,9 +173,8 @@ class Depth:
         """Return depth as an equirectangular panorama ``(*b, height, 2 * height)`` around the rig's centre."""
         inverse_depth, confidence, seen = self._looked_up(height)
         shape = (*self.batch_shape, height, 2 * height)
-        return DepthImage(
-            inverse_depth.reciprocal().reshape(shape), confidence.reshape(shape), seen.reshape(shape)
-        )
+        depth = inverse_depth.reciprocal().reshape(shape)
+        return DepthImage(depth, confidence.reshape(shape), seen.reshape(shape))
 
     @full_precision
     @check_shapes
@@ -226,9 +222,8 @@ class Depth:
             camera = self.rig.cameras[camera]
         pose = torch.eye(4) if world_from_camera is None else world_from_camera
         pose = pose.to(self.index.device, torch.float32)
-        directions, in_view = camera.to(self.index.device).unproject(
-            camera.pixel_grid(torch.float32).to(pose.device)
-        )
+        pixels = camera.pixel_grid(torch.float32).to(pose.device)
+        directions, in_view = camera.to(self.index.device).unproject(pixels)
         rays = directions[in_view] @ pose[:3, :3].T
         center = self.rig.center.to(pose)
         start = center if world_from_camera is None else pose[:3, 3]
@@ -240,11 +235,8 @@ class Depth:
             _, confidence, seen = frame.at(torch.nn.functional.normalize(points, dim=-1))
             depth = directions.new_full(in_view.shape, math.nan)
             sure, seen_by_two = directions.new_zeros(in_view.shape), torch.zeros_like(in_view)
-            depth[in_view], sure[in_view], seen_by_two[in_view] = (
-                distance,
-                confidence,
-                seen & distance.isfinite(),
-            )
+            depth[in_view], sure[in_view] = distance, confidence
+            seen_by_two[in_view] = seen & distance.isfinite()
             views.append(DepthImage(depth, sure, seen_by_two))
         if not self.batch_shape:
             return views[0]

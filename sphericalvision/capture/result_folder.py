@@ -52,11 +52,6 @@ class Settings(NamedTuple):
     posed: bool = False
 
 
-def prefix_of(frame: str) -> str:
-    """What the names of a frame's files begin with."""
-    return f"{part_of_name(frame, SEPARATORS)}_" if frame else ""
-
-
 class ResultFolder:
     """What the writers of a run have in common.
 
@@ -92,8 +87,8 @@ class ResultFolder:
         return self.path / "frames.jsonl"
 
     def frame_file(self, frame: str, name: str) -> Path:
-        """The path of a file of one frame."""
-        return self.path / f"{prefix_of(frame)}{name}"
+        """The path of a file of one frame, whose name it begins with."""
+        return self.path / (f"{part_of_name(frame, SEPARATORS)}_{name}" if frame else name)
 
     def views(self, depth: Panoramas) -> Panoramas:
         """The panoramas of a frame in the colours of the first one."""

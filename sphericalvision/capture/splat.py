@@ -128,9 +128,8 @@ class SplatScene:
         rig = depth.rig.to("cpu")
         names = ["camera"] if moment == [frame] else [name.rsplit("@", 1)[0] for name in moment]
         own = rig.subset(moment)
-        own = CameraRig(
-            dict(zip(map(part_of_name, names), own.cameras.values(), strict=True)), own.world_from_camera
-        )
+        cameras_by_name = dict(zip(map(part_of_name, names), own.cameras.values(), strict=True))
+        own = CameraRig(cameras_by_name, own.world_from_camera)
         masks = {name: rig.masks.get(view) for name, view in zip(own.names, moment, strict=True)}
         if not self._views:
             self._begin(own, masks, math.sqrt(4 * math.pi / depth.index.numel()))
@@ -202,9 +201,8 @@ class SplatScene:
             views = []
             if lens := lenses.get(name):
                 seen = usable & lens.unproject(lens.pixel_grid())[1]
-                views.append(
-                    _View(NATIVE, name, lens, torch.eye(4).double(), seen, None, Remap(coarse, lens))
-                )
+                same = torch.eye(4).double()
+                views.append(_View(NATIVE, name, lens, same, seen, None, Remap(coarse, lens)))
             for twin in pinhole_twins(camera):
                 seen = twin.remap(usable[None].float())[0] > ALL_USABLE
                 maps = Remap(coarse, twin.camera, twin.pose[:3, :3].mT)
@@ -243,10 +241,8 @@ class SplatScene:
         grid, inverse_depth = depth.network.grid, depth.inverse_depth.flatten().float()
         rays, faces = grid.directions.reshape(-1, 3).float(), grid_faces(grid)
         normals = surface_normals(rays / inverse_depth[:, None], faces)
-        sure = (depth.confidence.flatten() >= self.min_confidence) & ~hangs_between(
-            inverse_depth, rays, faces
-        )
-        sure = sure & (inverse_depth * depth.max_depth >= 1)
+        sure = (depth.confidence.flatten() >= self.min_confidence) & (inverse_depth * depth.max_depth >= 1)
+        sure = sure & ~hangs_between(inverse_depth, rays, faces)
         return torch.cat((normals.mT, sure[None].float())).unflatten(1, grid.shape)
 
     def _write(self, view: _View, frame: str, image: Tensor, maps: Tensor, valid: Tensor) -> None:

@@ -21,12 +21,13 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.remapping.lookup import pixels_a_radian
-from sphericalvision.capture.result import Depth, near_end_of
+from sphericalvision.capture.panoramas import Panoramas
+from sphericalvision.capture.result import Depth
 from sphericalvision.io.files import write_bytes
 from sphericalvision.io.images import as_bytes
 from sphericalvision.sweep import index_from_depth
 from sphericalvision.viz.color import colorize, depth_to_color, error_to_color, fade
-from sphericalvision.viz.panorama import confidence_strength, rgb_panorama
+from sphericalvision.viz.panorama import confidence_strength
 
 HERE = Path(__file__).parent
 MOST_POINTS, FEWEST_POINTS = 100_000, 20_000
@@ -119,45 +120,36 @@ class Timeline:
         self._number += 1
         if (self._number - 1) % self._every:
             return
-        if self.near is None:
-            self.near = near_end_of(depth)
-        panorama = depth.panorama(self.height)
-        images = {key: image.cpu() for key, image in depth.images.items()}
-        fine = panorama if self.image_height == self.height else depth.panorama(self.image_height)
-        colors, _ = rgb_panorama(depth.rig.to("cpu"), images, self.image_height, fine.depth.cpu())
-        sure = panorama.confidence.where(panorama.seen, math.nan).cpu()
-        strength = confidence_strength(panorama.confidence, panorama.seen).cpu()
+        views = Panoramas(depth, self.height, self.near)
+        self.near, panorama = views.near, views.panorama
+        fine = views if self.image_height == self.height else Panoramas(depth, self.image_height, self.near)
+        sure = panorama.confidence.where(panorama.seen, math.nan)
+        strength = confidence_strength(panorama.confidence, panorama.seen)
         pictures = {
-            "image": as_bytes(colors),
+            "image": as_bytes(fine.colors[0]),
             "depth": fade(depth_to_color(panorama.depth, self.near), strength),
             "confidence": colorize(sure.numpy(), "viridis"),
         }
         if truth is not None:
             number, nearest = depth.network.num_hypotheses, depth.min_depth
             index = index_from_depth(truth.to(depth.index), number, nearest)
-            true = replace(depth, index=index).panorama(self.height)
+            true = Panoramas(replace(depth, index=index), self.height, self.near).panorama
             error = (100 * (number - 1) / number) * nearest * (1 / panorama.depth - 1 / true.depth)
             pictures["error"] = error_to_color(error, MOST_ERROR)
         cloud = depth.points()
         number = min(len(cloud.points), self.most_points)
         chosen = torch.linspace(0, len(cloud.points) - 1, number).round().long()
         # y up and looking along -z, as three.js has it
-        points = (cloud.points[chosen] - depth.rig.center.to(cloud.points)).cpu() * torch.tensor(
-            [1.0, -1.0, -1.0]
-        )
+        points = (cloud.points[chosen] - depth.rig.center.to(cloud.points)).cpu()
+        points = points * torch.tensor([1.0, -1.0, -1.0])
         if not self._frames and len(points):
             distances = points.norm(dim=-1)
             self._radius = float(distances.median())
             self._reach = min(float(distances.quantile(0.9)), MOST_REACH * self._radius)
         levels = (cloud.colors[chosen].clamp(0, 1) * 255).round().byte()
-        self._frames.append(
-            {
-                "name": name,
-                "pictures": [{"name": key, "url": _data_url(picture)} for key, picture in pictures.items()],
-                "points": _base64(points.float()),
-                "colors": _base64(levels),
-            }
-        )
+        urls = [{"name": key, "url": _data_url(picture)} for key, picture in pictures.items()]
+        encoded = {"points": _base64(points.float()), "colors": _base64(levels)}
+        self._frames.append({"name": name, "pictures": urls, **encoded})
         if len(self._frames) > MOST_FRAMES:
             self._frames, self._every = self._frames[::2], 2 * self._every
 
@@ -201,9 +193,8 @@ def rows_like(rig: CameraRig) -> int:
 
 def _data_url(picture: npt.NDArray[Any]) -> str:
     """A picture as a JPEG inside of an address."""
-    _, encoded = cv2.imencode(
-        ".jpg", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 92]
-    )
+    pixels = np.ascontiguousarray(picture[..., ::-1])  # blue first
+    _, encoded = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 92])
     return f"data:image/jpeg;base64,{base64.b64encode(encoded.tobytes()).decode()}"
 
 

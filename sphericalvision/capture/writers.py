@@ -132,10 +132,8 @@ class CloudWriter(Writer):
     files = ("points.ply",)
 
     def write(self, paths: list[Path], views: Panoramas) -> list[Path]:
-        cloud, origin = (
-            views.points(self.settings.min_confidence, self.settings.voxel),
-            views.depth.rig.origin,
-        )
+        cloud = views.points(self.settings.min_confidence, self.settings.voxel)
+        origin = views.depth.rig.origin
         return save_clouds(paths, in_world(cloud, origin), origin.cpu(), self.settings.axes)
 
 
@@ -170,11 +168,27 @@ class ViewerWriter(Writer):
 
 
 class ArraysWriter(Writer):
+    """The estimate on the network's grid, and the panorama of depth."""
+
     files = ("depth.npz",)
 
     def write(self, paths: list[Path], views: Panoramas) -> list[Path]:
+        depth, panorama = views.depth, views.panorama
+        tensors = {
+            "index": depth.index.flatten(),
+            "inverse_depth": depth.inverse_depth.flatten(),
+            "depth": depth.depth.flatten(),
+            "confidence": depth.confidence.flatten(),
+            "seen": depth.seen.flatten(),
+            "directions": depth.directions.reshape(-1, 3),
+            "depth_panorama": panorama.depth,
+            "confidence_panorama": panorama.confidence.half(),
+            "matched_panorama": panorama.seen,
+            "center": depth.rig.in_world().center,
+        }
+        arrays: dict[str, Any] = {key: values.cpu().numpy() for key, values in tensors.items()}
         with atomic_write(paths[0]) as temporary:
-            np.savez_compressed(temporary, **arrays_of(views))
+            np.savez_compressed(temporary, **arrays)
         return paths
 
 
@@ -469,24 +483,6 @@ def in_axes(vectors: Tensor, path: Path, axes: Tensor | None) -> Tensor:
     return vectors if axes is None else vectors @ axes.to(vectors).mT
 
 
-def arrays_of(views: Panoramas) -> dict[str, Any]:
-    """The arrays of ``depth.npz``: the estimate on the network's grid, and the panorama of depth."""
-    depth, panorama = views.depth, views.panorama
-    arrays = {
-        "index": depth.index.flatten(),
-        "inverse_depth": depth.inverse_depth.flatten(),
-        "depth": depth.depth.flatten(),
-        "confidence": depth.confidence.flatten(),
-        "seen": depth.seen.flatten(),
-        "directions": depth.directions.reshape(-1, 3),
-        "depth_panorama": panorama.depth,
-        "confidence_panorama": panorama.confidence.half(),
-        "matched_panorama": panorama.seen,
-        "center": depth.rig.in_world().center,
-    }
-    return {key: value.cpu().numpy() for key, value in arrays.items()}
-
-
 def read_shares(path: Path) -> dict[str, float]:
     """Photo-consistency by frame, of a table whose last line may be torn; nothing if there is none."""
     fractions: dict[str, float] = {}
@@ -507,7 +503,6 @@ def read_shares(path: Path) -> dict[str, float]:
 def _rows_of(shares: Mapping[str, float]) -> str:
     """Lines of that table; names with a comma or a newline are in quotes."""
     rows = io.StringIO(newline="")
-    csv.writer(rows, lineterminator="\n").writerows(
-        (frame, f"{share:.4f}") for frame, share in shares.items()
-    )
+    lines = ((frame, f"{share:.4f}") for frame, share in shares.items())
+    csv.writer(rows, lineterminator="\n").writerows(lines)
     return rows.getvalue()

@@ -71,6 +71,12 @@ def random_rigs(
     return WorldSamples(world, view, range(first_seed, first_seed + number), cache_dir)
 
 
+def same(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
+    """Whether two samples have the same entries, and equal tensors."""
+    tensors = [key for key, value in first.items() if isinstance(value, Tensor)]
+    return set(first) == set(second) and all(torch.equal(first[key], second[key]) for key in tensors)
+
+
 def recorded_frames(
     rig: CameraRig, numbers: Iterable[int], height: int = 32, kind: str | Sequence[str] = ("room", "floating")
 ) -> list[dict[str, Any]]:

@@ -47,9 +47,8 @@ def test_corners_are_where_they_were_rendered(
 ) -> None:
     """To an eighth of a pixel, and enough of those in view; a mistaken order would be off by tens of pixels."""
     drawing = Drawing(board)
-    aim = transform_from_axis_angle(
-        torch.tensor([0.0, math.radians(angle_deg), 0.0]), torch.zeros(3)
-    ).double()
+    angle = torch.tensor([0.0, math.radians(angle_deg), 0.0])
+    aim = transform_from_axis_angle(angle, torch.zeros(3)).double()
     tilt = transform_from_axis_angle(torch.tensor([0.3, -0.2, 0.5]), torch.tensor([0.0, 0.0, 0.42])).double()
     pose = aim @ tilt @ drawing.facing
     truth = LENS.project(transform_points(pose, board.points))

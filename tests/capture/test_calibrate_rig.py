@@ -143,10 +143,8 @@ def test_a_pair_of_cameras_starts_where_most_views_say() -> None:
     """The first view that they share may be of two moments."""
     rig = truth()
     views = transform_from_axis_angle(torch.rand(5, 3).double(), torch.rand(5, 3).double())
-    poses = {
-        name: dict(enumerate(pose @ views))
-        for name, pose in zip("ab", torch.linalg.inv(rig.world_from_camera.double()), strict=True)
-    }
+    inverse = torch.linalg.inv(rig.world_from_camera.double())
+    poses = {name: dict(enumerate(pose @ views)) for name, pose in zip("ab", inverse, strict=True)}
     poses["b"][0] = poses["b"][3]
     alone = {name: (LENS, views) for name, views in poses.items()}
     expected = rig.world_from_camera[0].inverse() @ rig.world_from_camera
@@ -163,9 +161,8 @@ def test_masks_stay_and_the_camera_that_sees_most_says_where_the_object_stood() 
     pixels, seen = seen_by(truth(), board, noise=0.0)
     right = _Bundle(rig, board, pixels, seen, [[], []]).world_from_points
     seen[:, 0, FEWEST:], pixels[:, 0] = False, pixels[:, 0].flip(1)
-    torch.testing.assert_close(
-        _Bundle(rig, board, pixels, seen, [[], []]).world_from_points, right, atol=1e-4, rtol=0
-    )
+    found = _Bundle(rig, board, pixels, seen, [[], []]).world_from_points
+    torch.testing.assert_close(found, right, atol=1e-4, rtol=0)
 
 
 @pytest.mark.parametrize(("ratio", "is_turned"), [(0.1, True), (0.5, False)])

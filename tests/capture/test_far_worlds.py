@@ -36,9 +36,9 @@ from tests.worlds import ball
 
 DOUBLE = torch.float64
 PLACES = {
-    "beside": (30_000.0, 5.0, -60_000.0),
-    "utm": (458_952.13, -110.4, 5_428_765.31),
-    "earth": (-2_694_045.7, -4_293_642.3, 3_857_878.9),
+    "beside": torch.tensor([30_000.0, 5.0, -60_000.0], dtype=DOUBLE),
+    "utm": torch.tensor([458_952.13, -110.4, 5_428_765.31], dtype=DOUBLE),
+    "earth": torch.tensor([-2_694_045.7, -4_293_642.3, 3_857_878.9], dtype=DOUBLE),
 }
 far = pytest.mark.parametrize("place", PLACES)
 
@@ -52,8 +52,13 @@ def way(count: int = 5) -> torch.Tensor:
 
 def moved(poses: torch.Tensor, place: str) -> torch.Tensor:
     poses = poses.clone()
-    poses[..., :3, 3] += torch.tensor(PLACES[place], dtype=DOUBLE)
+    poses[..., :3, 3] += PLACES[place]
     return poses
+
+
+def ring_at(place: str) -> CameraRig:
+    """Three cameras on their way, in float64, in which nothing has to be subtracted."""
+    return CameraRig(ring_rig(3, image_size=(16, 16)).to(DOUBLE).cameras, moved(way(3), place))
 
 
 def relative(rig: CameraRig) -> torch.Tensor:
@@ -69,7 +74,7 @@ def test_windows_of_a_trajectory(place: str, carrier: EquirectangularCamera | Ca
     assert there.world_from_camera.dtype == torch.float32
     torch.testing.assert_close(relative(there), relative(near), rtol=0, atol=2e-6)
     torch.testing.assert_close(there.axes, near.axes)
-    expected = near.positions.double() + torch.tensor(PLACES[place], dtype=DOUBLE)
+    expected = near.positions.double() + PLACES[place]
     torch.testing.assert_close(there.in_world().positions, expected, rtol=0, atol=2e-6)
     assert not near.origin.any()
     assert near.in_world() is near
@@ -96,7 +101,7 @@ def test_whatever_is_done_to_a_rig_its_world_stays(
     place: str, change: Callable[[CameraRig], CameraRig]
 ) -> None:
     """In float64 nothing has to be subtracted, which says what is right."""
-    exact = CameraRig(ring_rig(3, image_size=(16, 16)).to(DOUBLE).cameras, moved(way(3), place))
+    exact = ring_at(place)
     near = exact.to(torch.float32)
     assert not exact.origin.any()
     assert near.origin.any()
@@ -132,7 +137,7 @@ def test_a_fused_cloud_is_the_same_cloud_elsewhere(place: str) -> None:
     rays = Equirectangular(32, 64).directions.flatten(0, 1)
     ones = torch.ones(32, 64)
     centers = torch.tensor([[0.0, 0.0, 0.0], [0.4, 0.0, 0.1], [0.9, 0.1, 0.3], [1.2, 0.1, 0.3]]).double()
-    where = torch.tensor(PLACES[place], dtype=DOUBLE)
+    where = PLACES[place]
 
     def fused(shift: torch.Tensor, folder: Path | None = None) -> FusedCloud:
         cloud = FusedCloud(0.3)
@@ -169,9 +174,7 @@ def test_cubes_grow_until_a_way_fits(tmp_path: Path) -> None:
 
 @far
 def test_what_is_written_is_in_the_far_world(place: str, tmp_path: Path) -> None:
-    rig = CameraRig(ring_rig(3, image_size=(16, 16)).to(DOUBLE).cameras, moved(way(3), place)).to(
-        torch.float32
-    )
+    rig = ring_at(place).to(torch.float32)
     depth = ball(rig, level=3, min_depth=0.55)
     outputs = Outputs(tmp_path, Settings(["cloud", "glb", "npz", "fused"], height=32))
     outputs.write("frame", depth)

@@ -56,6 +56,11 @@ def answer(rig: CameraRig, factor: float = 1.0) -> Depth:
     return Depth(index_from_depth(factor * true_depth(rig), 64, 0.3), ones, ones > 0, net, rig, {})
 
 
+def translated(rig: CameraRig, by: Tensor) -> CameraRig:
+    moved = transform_from_axis_angle(torch.zeros(3), by) @ rig.world_from_camera
+    return rig.replaced(world_from_camera=moved)
+
+
 def error(hint: Any, rig: CameraRig) -> tuple[float, float]:
     """Median relative error of a hint on vertices, and the share of them that have one."""
     inverse_depth, weight = hint
@@ -70,9 +75,7 @@ def test_points_and_panoramas_are_told_from_the_centre() -> None:
     off, share = error(Hint.of_points(points, 0.5).on(GRID, rig), rig)
     assert off < 1e-4
     assert share == pytest.approx(1 / 50, rel=0.05)
-    moved = rig.replaced(
-        world_from_camera=transform_from_axis_angle(torch.zeros(3), torch.ones(3)) @ rig.world_from_camera
-    )
+    moved = translated(rig, torch.ones(3))
     hint = Hint.of_points(points[:-2] + 1).on(GRID, moved)
     assert error(hint, rig)[0] < 1e-4
     scaled = Hint.of_points(0.4 * (points[:-2] - rig.center), fit="scale")  # counted from where the rig is
@@ -114,20 +117,11 @@ def test_depth_images_stand_where_their_cameras_stand_and_are_fitted_each(quanti
 
 def test_views_at_the_origin_stand_at_the_centre_and_masks_count() -> None:
     rig = rig_of_four()
-    center = rig.replaced(
-        world_from_camera=torch.cat(
-            (
-                torch.cat((rig.world_from_camera[:, :3, :3], torch.zeros(4, 3, 1)), 2),
-                rig.world_from_camera[:, 3:],
-            ),
-            1,
-        )
-    )
+    poses = rig.world_from_camera.clone()
+    poses[:, :3, 3] = 0
+    center = rig.replaced(world_from_camera=poses)
     images = depth_images(center)
-    away = rig.center + torch.tensor([5.0, 0.0, 2.0])
-    there = rig.replaced(
-        world_from_camera=transform_from_axis_angle(torch.zeros(3), away) @ rig.world_from_camera
-    )
+    there = translated(rig, rig.center + torch.tensor([5.0, 0.0, 2.0]))
     inverse_depth, weight = Hint.of_views(Views(images, center)).on(GRID, there)
     assert error((inverse_depth, weight), rig)[0] < 0.02
     masks = {name: torch.zeros(150, 160, dtype=torch.bool) for name in rig.names[1:]}
@@ -163,8 +157,9 @@ def test_the_last_frame_is_carried_on_by_the_pose() -> None:
     # As if it had moved the other way
     back = Hint.of_depth(answer(moved), torch.linalg.inv(motion)).averaged(off)
     assert relative_error(back, rig) > 0.75 * alone
-    straight = transform_from_axis_angle(torch.zeros(3), torch.tensor([0.1, 0.0, -0.3]))
-    own = replace(answer(rig.replaced(world_from_camera=straight @ rig.world_from_camera)), rig=rig)
+    forward = torch.tensor([0.1, 0.0, -0.3])
+    straight = transform_from_axis_angle(torch.zeros(3), forward)
+    own = replace(answer(translated(rig, forward)), rig=rig)
     for pose, limits in ((straight, (0, 0.65)), (torch.eye(4), (0.75, 2))):  # frames in the world of each rig
         error_of_mean = relative_error(Hint.of_depth(own, pose).averaged(off), rig)
         assert limits[0] * alone <= error_of_mean < limits[1] * alone
@@ -215,8 +210,8 @@ def test_infinite_pixels_say_nothing(tmp_path: Path) -> None:
         for unknown in (0, torch.inf)
     )
     expected = Hint.of_views(Views(zero, rig)).on(GRID, rig)
-    for got, wanted in zip(Hint.of_views(Views(infinite, rig)).on(GRID, rig), expected, strict=True):
-        assert torch.equal(got, wanted)
+    found = Hint.of_views(Views(infinite, rig)).on(GRID, rig)
+    torch.testing.assert_close(found, expected, rtol=0, atol=0)
     for name in rig.names:
         millimetres = (1000 * zero[name][0]).round().where(known[name][0], 65535)
         write_pages(tmp_path / f"{name}0.png", [millimetres.numpy().astype(np.uint16)])
@@ -239,16 +234,13 @@ def test_points_of_a_map_or_in_millimetres_are_no_metres_from_the_rig() -> None:
 
 def test_points_in_files_are_in_the_frame_of_the_calibration(tmp_path: Path) -> None:
     """Wherever that was placed, and however far away the world is."""
-    turn, place = (
-        torch.tensor(values, dtype=torch.float64) for values in ([0.2, -0.5, 0.1], [3e5, -20, 6e5])
-    )
+    turn, place = torch.tensor([[0.2, -0.5, 0.1], [3e5, -20, 6e5]], dtype=torch.float64)
     placement = transform_from_axis_angle(turn, place)
     rig = rig_of_four().replaced(origin=place.round())
     points = true_depth(rig)[:, None] * GRID.vertices + rig.origin
     np.save(tmp_path / "0.npy", ((points - place) @ placement[:3, :3]).numpy())
-    off, share = error(
-        HintFiles(str(tmp_path / "{frame}.npy"), ["0"], rig, placement)("0").on(GRID, rig), rig
-    )
+    hint = HintFiles(str(tmp_path / "{frame}.npy"), ["0"], rig, placement)("0")
+    off, share = error(hint.on(GRID, rig), rig)
     assert off < 1e-3
     assert share > 0.99
 
@@ -256,20 +248,15 @@ def test_points_in_files_are_in_the_frame_of_the_calibration(tmp_path: Path) -> 
 def test_arrays_in_files_are_read_in_either_byte_order_or_the_file_is_named(tmp_path: Path) -> None:
     rig = ring_rig(2, image_size=(8, 8))
     rays = GRID.vertices[:50].numpy()
-    arrays = {
-        "directions": rays,
-        "inverse_depth": np.linspace(0.1, 2, 50),
-        "confidence": np.ones(50, np.float32),
-    }
+    arrays = {"directions": rays, "inverse_depth": np.linspace(0.1, 2, 50)}
+    arrays["confidence"] = np.ones(50, np.float32)
 
     def read(name: str) -> Hint:
         return HintFiles(str(tmp_path / name), ["0"], rig, torch.eye(4))("0")
 
     for order in "<>":
-        np.savez(
-            tmp_path / f"{order}.npz",
-            **{key: a.astype(a.dtype.newbyteorder(order)) for key, a in arrays.items()},
-        )
+        ordered = {key: values.astype(values.dtype.newbyteorder(order)) for key, values in arrays.items()}
+        np.savez(tmp_path / f"{order}.npz", **ordered)
         np.save(tmp_path / f"{order}.npy", rays.astype(f"{order}f8"))
         depth = np.full((4, 8), 2500).astype(f"{order}u2")
         np.save(tmp_path / f"{order}d.npy", np.tile(depth, (4, 4)))
@@ -326,9 +313,8 @@ def test_a_predictor_takes_hints_and_says_if_one_is_of_another_frame() -> None:
         assert unused or factor != 0.3
         assert not unused or [w for w in caught if "counts with 0.00 of its weight" in str(w.message)]
     near = Hint.of_points(points).on(GRID, predictor.rig)
-    torch.testing.assert_close(
-        predictor(images, near._replace(weight=near.weight.double())).index, hinted.index
-    )
+    double = near._replace(weight=near.weight.double())
+    torch.testing.assert_close(predictor(images, double).index, hinted.index)
     for bad, message in (
         (near._replace(weight=near.weight.numpy()), "hint.weight: expected a torch.Tensor"),
         (near._replace(weight=2 * near.weight), "hint: expected weights from 0 to 1"),

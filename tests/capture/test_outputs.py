@@ -7,6 +7,7 @@ import importlib.util
 import json
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -111,10 +112,7 @@ def test_colours_are_those_of_the_first_frame_of_all_runs(tmp_path: Path) -> Non
     for number, nearest in enumerate((2.0, 5.0)):
         outputs = Outputs(tmp_path, Settings(["depth"], 16, go_on=True))
         depth = depth_of()
-        net = depth.network.with_changes(min_depth=nearest)
-        outputs.write(
-            str(number), Depth(depth.index, depth.seen * 1.0, depth.seen, net, depth.rig, depth.images)
-        )
+        outputs.write(str(number), replace(depth, network=depth.network.with_changes(min_depth=nearest)))
         outputs.close()
         if number == 0:
             near = outputs.results.near
@@ -130,9 +128,7 @@ def test_seams_are_at_the_depth_of_what_two_cameras_see(output: str, tmp_path: P
     seen = depth.directions[:, 0] > 0.3
     for factor in (1.0, 2.0):
         index = (factor * depth.index).where(seen, 0.1)
-        outputs.write(
-            str(factor), Depth(index, depth.confidence, seen, depth.network, depth.rig, depth.images)
-        )
+        outputs.write(str(factor), replace(depth, index=index, seen=seen))
     (told,) = (sentence for sentence in outputs.described() if "seams" in sentence)
     assert f"{float(depth.depth.median()):.2f} m" in told
     outputs.close()

@@ -94,9 +94,8 @@ def test_panoramas_have_exposure_but_no_vignetting() -> None:
     images = {"one": torch.full((3, 16, 32), 0.4), "other": torch.full((3, 16, 32), 0.5)}
     found = calibrate_photometry(rig, images)
     assert found.falloff.abs().max() == 0
-    torch.testing.assert_close(
-        (found.exposure[1] - found.exposure[0]).exp(), torch.full((3,), 1.25), atol=0.01, rtol=0
-    )
+    factor = (found.exposure[1] - found.exposure[0]).exp()
+    torch.testing.assert_close(factor, torch.full((3,), 1.25), atol=0.01, rtol=0)
 
 
 def test_saturated_and_black_values_do_not_count(rig: CameraRig) -> None:
@@ -105,9 +104,8 @@ def test_saturated_and_black_values_do_not_count(rig: CameraRig) -> None:
     for (name, camera), gain in zip(rig.cameras.items(), GAINS, strict=True):
         pose = rig.world_from_camera[rig.names.index(name), :3, :3]
         directions = camera.unproject(camera.pixel_grid()).directions @ pose.mT
-        brightness = torch.where(
-            directions[..., 0] > 0.3, 9.0, torch.where(directions[..., 0] < -0.3, 0.0, 0.5)
-        )
+        x = directions[..., 0]
+        brightness = torch.where(x > 0.3, 9.0, torch.where(x < -0.3, 0.0, 0.5))
         images[name] = (brightness * gain).clamp(0, 1).expand(3, -1, -1)
     found = calibrate_photometry(rig, images)
     gains = torch.tensor(GAINS).log()
@@ -128,16 +126,12 @@ def test_cameras_are_compared_where_they_agree_best(far: float) -> None:
     rig = ring_rig(4, radius=0.2, image_size=(96, 96))
     images = {}
     for place, (name, camera) in enumerate(rig.cameras.items()):
-        directions = (
-            camera.unproject(camera.pixel_grid()).directions @ rig.world_from_camera[place, :3, :3].mT
-        )
+        pose = rig.world_from_camera[place, :3, :3]
+        directions = camera.unproject(camera.pixel_grid()).directions @ pose.mT
         offset = rig.positions[place] - rig.center
         along = directions @ offset
-        points = (
-            offset
-            + directions
-            * (along.square() - offset.square().sum() + (0.2 * far) ** 2).sqrt().sub(along)[..., None]
-        )
+        reach = (along.square() - offset.square().sum() + (0.2 * far) ** 2).sqrt() - along
+        points = offset + directions * reach[..., None]
         pattern = 0.5 + 0.3 * torch.sin(points / (0.2 * far) * 25).prod(-1)
         images[name] = pattern.nan_to_num(0.5).clamp(0, 1).expand(3, -1, -1)
     residuals = {

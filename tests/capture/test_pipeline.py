@@ -205,9 +205,8 @@ def test_results_of_a_graph_are_ones_own_and_threads_get_theirs() -> None:
     assert (first.tolist(), more.tolist(), second.tolist()) == ([0] * 3, [1] * 3, [2] * 3)
     assert graphed(torch.ones(3), factor=3.0)[0].tolist() == [3] * 3  # another graph
     with ThreadPoolExecutor(4) as pool:
-        results = list(
-            pool.map(lambda number: graphed(torch.full((3,), float(number)), factor=2.0), range(20))
-        )
+        numbers = torch.arange(20.0)[:, None].expand(20, 3)
+        results = list(pool.map(lambda values: graphed(values, factor=2.0), numbers))
     for number, (values, _) in enumerate(results):
         assert values.tolist() == [2 * number] * 3
 

@@ -77,9 +77,8 @@ def test_intrinsics_are_found_again(case: CameraCase) -> None:
 
 def test_noise_is_what_remains() -> None:
     """A tenth of a pixel in each coordinate: as much is left, and the intrinsics are as good as it allows."""
-    truth = KannalaBrandtCamera(
-        [190.0, 191.0], [255.0, 257.0], [0.01, -0.004, 1e-3, 0.0], (512, 512), 1.6
-    ).to(torch.float64)
+    distortion = [0.01, -0.004, 1e-3, 0.0]
+    truth = KannalaBrandtCamera([190.0, 191.0], [255.0, 257.0], distortion, (512, 512), 1.6).to(torch.float64)
     _, pixels, seen = seen_boards(truth, 20)
     noise = 0.1 * torch.randn(pixels.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     found = refine(changed(truth, 0.02), BOARD, pixels + noise, seen)

@@ -80,16 +80,8 @@ def test_a_recording_holds_cameras_images_depth_and_points(
     assert logged.pop(("world", None)) == "right, down, forward"
     cameras = {f"world/{name}" for name in RIG.names}
     views = {f"{name}/{face}" for name in cameras for face in ("front", "right", "left", "up", "down")}
-    entities = {
-        *cameras,
-        *(f"{name}/image" for name in cameras),
-        *views,
-        *(f"{view}pinhole" for view in views),
-        "world/points",
-        "color",
-        "depth",
-        "confidence",
-    }
+    entities = {*cameras, *views, "world/points", "color", "depth", "confidence"}
+    entities |= {f"{name}/image" for name in cameras} | {f"{view}pinhole" for view in views}
     assert set(logged) == {(entity, frame) for entity in entities for frame in (0, 5)}
     translation, rotation = logged["world/cam2", 0]
     np.testing.assert_allclose(translation, RIG.positions[1], atol=1e-6)

@@ -99,21 +99,15 @@ class Endless(Recording):
             yield frame
 
 
-@pytest.mark.slow
 @needs_proc
-def test_memory_of_the_stream_is_flat(rig: CameraRig, scenes: list[Images], tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [12, pytest.param(FRAMES, marks=pytest.mark.slow)])
+def test_memory_of_the_stream_is_flat(
+    number: int, rig: CameraRig, scenes: list[Images], tmp_path: Path
+) -> None:
     """Frames are read ahead and written behind in threads; nothing waits for ever, and nothing piles up."""
     watch = Watch()
-    source = Endless(rig, scenes, FRAMES, watch.look)
     outputs = Outputs(tmp_path, Settings([], height=8))
+    source = Endless(rig, scenes, number, watch.look)
     assert run(source, Selection(), small_predictor(rig), outputs, None) == []
-    assert outputs.count == FRAMES
-    assert watch.growth < MOST_GROWTH
-
-
-@needs_proc
-def test_a_few_frames_of_the_stream(rig: CameraRig, scenes: list[Images], tmp_path: Path) -> None:
-    source = Endless(rig, scenes, 12, lambda: None)
-    outputs = Outputs(tmp_path, Settings([], height=8))
-    assert run(source, Selection(), small_predictor(rig), outputs, None) == []
-    assert outputs.count == 12
+    assert outputs.count == number
+    assert number < FRAMES or watch.growth < MOST_GROWTH

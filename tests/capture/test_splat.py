@@ -118,12 +118,8 @@ def test_colmap_reads_it_and_points_are_where_images_show_them(lens: str, tmp_pa
 @pytest.mark.parametrize("lens", LENSES)
 def test_depth_and_normals_are_those_of_the_ball(lens: str, tmp_path: Path) -> None:
     rig = LENSES[lens]
-    masked = rig.replaced(
-        masks={
-            "cam1": torch.arange(rig.cameras["cam1"].image_size[1]).expand(rig.cameras["cam1"].image_size)
-            > 20
-        }
-    )
+    size = rig.cameras["cam1"].image_size
+    masked = rig.replaced(masks={"cam1": torch.arange(size[1]).expand(size) > 20})
     scene = SplatScene(tmp_path)
     scene.add("7", ball(masked))
     scene.close(ball(masked).points())
@@ -161,8 +157,7 @@ def test_twins_together_see_what_the_lens_sees() -> None:
         seen = camera.project(directions).valid
         by_twins = torch.zeros_like(seen)
         for twin in pinhole_twins(camera):
-            shown = twin.camera.project(directions @ twin.pose[:3, :3].float()).valid
-            by_twins |= shown
+            by_twins |= twin.camera.project(directions @ twin.pose[:3, :3].float()).valid
         assert (seen & ~by_twins).float().mean() < 0.02
     (narrow,) = pinhole_twins(LENSES["pinholes"].cameras["cam1"])
     assert isinstance(narrow.remap, Remap)

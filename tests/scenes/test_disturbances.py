@@ -60,9 +60,8 @@ def test_grey_has_one_colour_and_keeps_the_range() -> None:
         assert 0 <= image.min() <= image.max() <= 1
     grey = CameraDisturbance(grey=True)(FRAME)["images"]["cam1"]
     torch.testing.assert_close(grey[0], grey[2])
-    torch.testing.assert_close(
-        grey[0], (IMAGES["cam1"] * torch.tensor([0.299, 0.587, 0.114])[:, None, None]).sum(0)
-    )
+    weights = torch.tensor([0.299, 0.587, 0.114])[:, None, None]
+    torch.testing.assert_close(grey[0], (IMAGES["cam1"] * weights).sum(0))
 
 
 def test_exposure_is_a_factor_on_light() -> None:
@@ -208,9 +207,8 @@ def test_a_carrier_is_where_masks_say(kind: str) -> None:
     assert (carried.body.distance_from(rig.positions[0]) > 0).all()
     assert (carried.body.distance_from(torch.tensor([0.0, 1.5, 0.0])) > 0.4).all()  # no floor is so near
     grid = torch.cartesian_prod(torch.arange(-30.0, 31), torch.tensor([1e3]), torch.arange(-30.0, 31))
-    rays = torch.nn.functional.normalize(
-        grid * torch.tensor([1 / 60, -1, 1 / 60]), dim=-1
-    )  # up from far below
+    # Up from far below
+    rays = torch.nn.functional.normalize(grid * torch.tensor([1 / 60, -1, 1 / 60]), dim=-1)
     hits = trace(carried.body, rig.center + torch.tensor([0.0, 1e3, 0.0]), rays).distance * rays[:, 1]
     floor = ray_depth(scene, rig.center, torch.tensor([0.0, 1.0, 0.0])).item()
     lowest = 1e3 + hits[hits.isfinite()].max().item()

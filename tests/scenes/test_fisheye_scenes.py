@@ -14,17 +14,11 @@ from sphericalvision.cameras import CameraRig, EquirectangularCamera, ring_rig
 from sphericalvision.data import PhotometricAugmentation, RotateFivefold, SampleView, collate_samples
 from sphericalvision.data.augmentation.sphere_rotation import yaw_rotation
 from sphericalvision.recipes.datamodules.depth_data_module import view_with
-from sphericalvision.scenes import (
-    WorldSamples,
-    make_scene,
-    ray_depth,
-    render_rig,
-    world,
-)
+from sphericalvision.scenes import WorldSamples, make_scene, ray_depth, render_rig, world
 from sphericalvision.sphere import Equirectangular
+from tests.worlds import same
 from tests.worlds import scenes as world_scenes
 
-Sample = dict[str, Any]
 KEYS = {
     "sphere": {"images", "seen", "inverse_depth", "valid"},
     "depth": {"inverse_depth", "valid"},
@@ -38,11 +32,6 @@ EVERYTHING = SampleView(3, 1, True, (10, 20))
 
 def scenes(rig: CameraRig, **options: Any) -> WorldSamples:
     return world_scenes(rig, 2, **({"view": EVERYTHING} | options))
-
-
-def same(first: Sample, second: Sample) -> bool:
-    tensors = [key for key, value in first.items() if isinstance(value, torch.Tensor)]
-    return set(first) == set(second) and all(torch.equal(first[key], second[key]) for key in tensors)
 
 
 def test_images_on_the_sphere_are_the_same_beside_the_cameras_own() -> None:
@@ -70,9 +59,8 @@ def test_fisheye_images_are_renderings_and_zero_out_of_view() -> None:
 
 def test_panoramas_are_exact(rig: CameraRig) -> None:
     sample = world_scenes(rig, 1, 3, SampleView(panorama=(16, 32)))[0]
-    depth = ray_depth(
-        make_scene("room", 3, center=rig.center), rig.center, Equirectangular(16, 32).directions
-    )
+    scene = make_scene("room", 3, center=rig.center)
+    depth = ray_depth(scene, rig.center, Equirectangular(16, 32).directions)
     torch.testing.assert_close(sample["panorama_inverse_depth"], 1 / depth)
     assert torch.equal(sample["panorama_valid"], sample["panorama_inverse_depth"] <= 1 / 0.55)
     band = world_scenes(rig, 1, 3, SampleView(panorama=(8, 32)))[0]
@@ -99,9 +87,7 @@ def test_only_what_is_asked_for_is_computed(
 
 @pytest.mark.parametrize("view", [EVERYTHING, SampleView(3, 1)], ids=str)
 def test_cached_and_fresh_samples_are_equal_and_the_cache_is_read(
-    view: SampleView,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    view: SampleView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig = ring_rig(image_size=(16, 16))
     fresh, cached = scenes(rig, view=view), scenes(rig, cache_dir=tmp_path, view=view)

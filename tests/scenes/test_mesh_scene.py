@@ -31,11 +31,7 @@ from sphericalvision.scenes import (  # noqa: E402
 from sphericalvision.scenes.rendering import mesh_scene  # noqa: E402
 
 ORIGIN = torch.zeros(3)
-UP, RIGHT, FORWARD = (
-    torch.tensor([0.0, -1.0, 0.0]),
-    torch.tensor([1.0, 0.0, 0.0]),
-    torch.tensor([0.0, 0.0, 1.0]),
-)
+UP, RIGHT, FORWARD = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 def directions(count: int, seed: int = 0) -> torch.Tensor:
@@ -104,9 +100,8 @@ def test_surfaces_that_meet_keep_their_colours(suffix: str, tmp_path: Path) -> N
     vertices, colors = np.vstack((box.vertices, [[50, 0, 0]])), np.vstack((colors, [[9, 9, 9]]))
     if suffix == ".ply":
         vertices, colors = np.vstack((vertices, [[np.nan] * 3])), np.vstack((colors, [[9, 9, 9]]))
-    trimesh.Trimesh(vertices, box.faces, vertex_colors=colors.astype(np.uint8), process=False).export(
-        tmp_path / f"box{suffix}"
-    )
+    mesh = trimesh.Trimesh(vertices, box.faces, vertex_colors=colors.astype(np.uint8), process=False)
+    mesh.export(tmp_path / f"box{suffix}")
     scene = read_mesh_scene(tmp_path / f"box{suffix}")
     assert np.abs(scene.vertices).max() == 2.0
     torch.testing.assert_close(render_directions(scene, ORIGIN, torch.eye(3)), torch.eye(3))
@@ -215,9 +210,8 @@ def test_textures_that_cannot_be_had_are_told_and_never_read(way: str, tmp_path:
         (folder / named).write_bytes(b"no picture")
     elif way == "huge":  # a header is enough
         header = b"IHDR" + struct.pack(">IIBBBBB", 30_000, 30_000, 8, 2, 0, 0, 0)
-        (folder / named).write_bytes(
-            b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + header + struct.pack(">I", zlib.crc32(header))
-        )
+        checked = struct.pack(">I", 13) + header + struct.pack(">I", zlib.crc32(header))
+        (folder / named).write_bytes(b"\x89PNG\r\n\x1a\n" + checked)
     with pytest.warns(UserWarning, match=r"quad\.obj: what it names could not be read.*folder of the mesh"):
         scene = read_mesh_scene(path)
     red, green, blue = in_front(scene)
@@ -280,21 +274,15 @@ def square(
     folder: Path, attributes: dict[str, Any], material: Any = None, suffix: str = ".gltf", **more: Any
 ) -> Path:
     """A square 1 m in front of the origin; whole numbers of its corners stand for shares. RED lies beside it."""
-    tree: dict[str, Any] = {
-        "asset": {"version": "2.0"},
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        **more,
-    }
+    nodes = {"scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}]}
+    tree: dict[str, Any] = {"asset": {"version": "2.0"}, **nodes, **more}
     places: dict[str, int] = {}
     tree["accessors"], tree["bufferViews"], content = [], [], b""
     for name, values in {**attributes, "indices": np.array([0, 1, 2, 0, 2, 3], np.uint32)}.items():
         places[name] = len(tree["accessors"])
         shape = {"count": len(values), "type": "SCALAR" if values.ndim == 1 else f"VEC{values.shape[1]}"}
-        kind = {
-            "componentType": KINDS[values.dtype.name],
-            "normalized": values.dtype.kind != "f" and values.ndim > 1,
-        }
+        normalized = values.dtype.kind != "f" and values.ndim > 1
+        kind = {"componentType": KINDS[values.dtype.name], "normalized": normalized}
         tree["accessors"].append({"bufferView": places[name], **kind, **shape})
         tree["bufferViews"].append({"buffer": 0, "byteOffset": len(content), "byteLength": values.nbytes})
         content += values.tobytes()
@@ -311,9 +299,8 @@ def square(
     else:
         inside = json.dumps(tree).encode()
         inside += b" " * (-len(inside) % 4)
-        sizes = [
-            k.to_bytes(4, "little") for k in (2, 28 + len(inside) + len(content), len(inside), len(content))
-        ]
+        lengths = (2, 28 + len(inside) + len(content), len(inside), len(content))
+        sizes = [length.to_bytes(4, "little") for length in lengths]
         text = b"glTF" + sizes[0] + sizes[1] + sizes[2] + b"JSON" + inside + sizes[3] + b"BIN\0" + content
     (folder / f"square{suffix}").write_bytes(text)
     return folder / f"square{suffix}"

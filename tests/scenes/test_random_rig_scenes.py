@@ -19,25 +19,21 @@ from sphericalvision.scenes.draws import Draws
 from sphericalvision.scenes.procedural import make_scene
 from sphericalvision.scenes.rendering.render import ray_depth, render_directions, render_rig
 from tests.values import coarse_sum, weighted_sum
-from tests.worlds import RANDOM_RIGS, random_rigs
+from tests.worlds import RANDOM_RIGS, random_rigs, same
 from tests.worlds import scenes as world_scenes
 
 VALUES = RANDOM_RIGS
 UNDISTURBED = {**VALUES, "faults": {**VALUES["faults"], "disturbed": 0.0}}
 
 
-def equal(one, other):
-    return all(torch.equal(one[key], other[key]) for key in ("images", "seen", "inverse_depth", "valid"))
-
-
 def test_a_seed_is_a_sample_with_a_cache_and_without(tmp_path):
     plain, kept = random_rigs(4, 7), random_rigs(4, 7, cache_dir=tmp_path)
     for index in range(4):
         first, second = kept[index], kept[index]
-        assert equal(first, second)
-        assert equal(first, plain[index])
+        assert same(first, second)
+        assert same(first, plain[index])
         assert torch.equal(second["rig"].world_from_camera, plain[index]["rig"].world_from_camera)
-    assert equal(random_rigs(1, 9)[0], plain[2])
+    assert same(random_rigs(1, 9)[0], plain[2])
     assert random_rigs().world.fingerprint() != random_rigs(values=UNDISTURBED).world.fingerprint()
 
 

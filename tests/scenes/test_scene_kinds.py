@@ -26,7 +26,6 @@ from tests.values import coarse_sum, weighted_sum
 
 ORIGIN = torch.zeros(3)
 UP, DOWN = torch.tensor([0.0, -1.0, 0.0]), torch.tensor([0.0, 1.0, 0.0])
-SEEDS = range(6)
 
 
 MEANT: dict[str, tuple[float, float]] = {
@@ -70,14 +69,14 @@ def around(elevation: float = 0.0, count: int = 720) -> Tensor:
     return flat - math.sin(elevation) * DOWN
 
 
-def depths(kind: str, directions: Tensor) -> Tensor:
-    """Depth ``(seeds, *)`` in the first few scenes of a kind."""
-    return torch.stack([ray_depth(make_scene(kind, seed), ORIGIN, directions) for seed in SEEDS])
+def some(kind: str, count: int = 6) -> list[Scene]:
+    """The first few scenes of a kind."""
+    return [make_scene(kind, seed) for seed in range(count)]
 
 
-def test_several_kinds_take_turns() -> None:
-    assert [kind_of(["room", "floating"], seed) for seed in range(4)] == ["room", "floating"] * 2
-    assert kind_of("hall", 3) == "hall"
+def depths(scenes: list[Scene], directions: Tensor) -> Tensor:
+    """Depth ``(scenes, *)``."""
+    return torch.stack([ray_depth(scene, ORIGIN, directions) for scene in scenes])
 
 
 def test_turns_of_the_benchmark_stay() -> None:
@@ -119,15 +118,8 @@ def test_skies_are_those_of_outdoors_in_other_colours_at_the_same_depth() -> Non
         assert torch.equal(ray_depth(plain, ORIGIN, high), ray_depth(other, ORIGIN, high))
         assert torch.equal(render_directions(plain, ORIGIN, low), render_directions(other, ORIGIN, low))
         sky = render_directions(other, ORIGIN, UP[None])
-        kind = (
-            "clouds"
-            if len(other.clouds)
-            else "black"
-            if sky.amax() == 0
-            else "white"
-            if sky.amin() > 0.9
-            else "any"
-        )
+        plain_sky = "black" if sky.amax() == 0 else "white" if sky.amin() > 0.9 else "any"
+        kind = "clouds" if len(other.clouds) else plain_sky
         seen.setdefault(kind, []).append(sky)
     assert set(seen) == {"clouds", "black", "white", "any"}
     hues = torch.stack(seen["any"]).flatten(1)
@@ -136,8 +128,8 @@ def test_skies_are_those_of_outdoors_in_other_colours_at_the_same_depth() -> Non
 
 
 def test_patchworks_are_open_or_closed_and_seen_from_any_height() -> None:
-    scenes = [make_scene("patchwork", seed) for seed in range(60)]
-    down, up = (torch.stack([ray_depth(scene, ORIGIN, way[None]) for scene in scenes]) for way in (DOWN, UP))
+    scenes = some("patchwork", 60)
+    down, up = depths(scenes, DOWN), depths(scenes, UP)
     assert 0.25 < up.isinf().float().mean() < 0.55
     assert (down < 0.9).any()
     assert (down > 3).any()
@@ -145,11 +137,8 @@ def test_patchworks_are_open_or_closed_and_seen_from_any_height() -> None:
 
 
 def test_rough_places_are_caves_and_slopes_without_anything_level_or_upright() -> None:
-    scenes = [make_scene("rough", seed) for seed in range(40)]
-    below, above = (
-        torch.stack([ray_depth(scene, ORIGIN, around(elevation, 90)) for scene in scenes])
-        for elevation in (-1.0, 1.0)
-    )
+    scenes = some("rough", 40)
+    below, above = (depths(scenes, around(elevation, 90)) for elevation in (-1.0, 1.0))
     assert 0.2 < above.isinf().any(1).float().mean() < 0.6
     assert below.isfinite().all()
     # A level floor without anything on it would be equally far in all directions of one elevation.
@@ -159,33 +148,29 @@ def test_rough_places_are_caves_and_slopes_without_anything_level_or_upright() -
 
 
 def test_terrain_is_uneven_at_all_scales_and_reaches_far_below_the_open_sky() -> None:
-    scenes = [make_scene("terrain", seed) for seed in range(16)]
-    below, above = (
-        torch.stack([ray_depth(scene, ORIGIN, around(elevation, 90)) for scene in scenes])
-        for elevation in (-0.6, 0.6)
-    )
+    scenes = some("terrain", 16)
+    below, above = (depths(scenes, around(elevation, 90)) for elevation in (-0.6, 0.6))
     assert below.isfinite().all()
     assert (below.quantile(0.9, 1) / below.quantile(0.1, 1)).median() > 1.3
     assert above.isinf().float().mean() > 0.6
-    level = torch.stack([ray_depth(scene, ORIGIN, around(-0.02, 360)) for scene in scenes])
+    level = depths(scenes, around(-0.02, 360))
     assert ((level > 50) & level.isfinite()).any(1).float().mean() > 0.5
     assert 0.1 < sum(scene.fog > 0 for scene in scenes) / 16 < 0.5
 
 
 def test_ruins_are_partly_roofed_and_one_sees_far_between_their_walls() -> None:
-    scenes = [make_scene("ruins", seed) for seed in range(16)]
-    up = torch.stack([ray_depth(scene, ORIGIN, UP[None]) for scene in scenes])
+    scenes = some("ruins", 16)
+    up = depths(scenes, UP)
     assert 0.3 < up.isinf().float().mean() < 0.9
     assert up[up.isfinite()].max() < 6
-    flat = torch.stack([ray_depth(scene, ORIGIN, around(-0.01, 720)) for scene in scenes])
+    flat = depths(scenes, around(-0.01))
     assert (flat < 6).float().mean() > 0.25
     assert ((flat > 50) & flat.isfinite()).any(1).float().mean() > 0.9
 
 
 def test_plain_places_have_few_colours_in_even_light_and_some_have_no_roof() -> None:
-    scenes = [make_scene("plain", seed) for seed in range(24)]
-    up = torch.stack([ray_depth(scene, ORIGIN, UP[None]) for scene in scenes])
-    assert 0.04 < up.isinf().float().mean() < 0.4
+    scenes = some("plain", 24)
+    assert 0.04 < depths(scenes, UP).isinf().float().mean() < 0.4
     assert 0.3 < sum(len(scene.lamps.position) == 0 for scene in scenes) / 24 < 0.8
 
     def colours(scene: Scene) -> int:
@@ -194,20 +179,18 @@ def test_plain_places_have_few_colours_in_even_light_and_some_have_no_roof() -> 
         picture, depth = render_directions(scene, ORIGIN, rays), ray_depth(scene, ORIGIN, rays)
         return len((picture[:, depth.isfinite()].T * 255).round().unique(dim=0))
 
-    shaded = [make_scene("room", seed) for seed in range(5)]
-    assert 4 * statistics.median(map(colours, scenes)) < statistics.median(map(colours, shaded))
+    assert 4 * statistics.median(map(colours, scenes)) < statistics.median(map(colours, some("room", 5)))
 
 
 def test_what_shines_in_a_lit_place_is_as_bright_as_a_sky_and_as_near_as_its_walls() -> None:
     rays = Icosphere(4).vertices
 
-    def dazzling(kind: str, seed: int) -> Tensor:
+    def dazzling(scene: Scene) -> Tensor:
         """Depth of what is bright in a scene; NaN elsewhere."""
-        scene = make_scene(kind, seed)
         bright = render_directions(scene, ORIGIN, rays).mean(0) > 0.9
         return torch.where(bright, ray_depth(scene, ORIGIN, rays), torch.nan)
 
-    lit, rooms = (torch.stack([dazzling(kind, seed) for seed in range(24)]) for kind in ("lit", "room"))
+    lit, rooms = (torch.stack([*map(dazzling, some(kind, 24))]) for kind in ("lit", "room"))
     assert (lit < 40).float().mean() > 2 * (rooms < 40).float().mean()
     assert ((lit < 40).float().mean(1) > 0.01).float().mean() > 0.4
     assert 0.1 < lit.isinf().any(1).float().mean() < 0.7  # panes before a sky as bright, in some
@@ -229,10 +212,9 @@ def test_fog_turns_what_is_far_into_the_sky_and_leaves_depth() -> None:
 
 
 def test_glazed_rooms_are_closed_above_and_below_and_open_to_the_sky_at_their_sides() -> None:
-    scenes = [make_scene("glazed", seed) for seed in range(40)]
-    for vertical in (UP, DOWN):
-        assert max(ray_depth(scene, ORIGIN, vertical[None]).item() for scene in scenes) < 3.6
-    level = torch.stack([ray_depth(scene, ORIGIN, around(0.1)) for scene in scenes])
+    scenes = some("glazed", 40)
+    assert depths(scenes, torch.stack([UP, DOWN])).max() < 3.6
+    level = depths(scenes, around(0.1))
     beyond = (level > 6 * 2**0.5 + 1e-3).float().mean(1)  # no corner of the room is as far
     assert (beyond > 0).float().mean() > 0.85
     assert beyond.max() > 0.3
@@ -249,7 +231,7 @@ def test_a_scene_without_anything_that_casts_a_shadow_is_lit() -> None:
 
 
 def test_clouds_cover_part_of_the_sky_and_stay_where_they_are() -> None:
-    scene = next(s for s in (make_scene("skies", seed) for seed in range(30)) if len(s.clouds))
+    scene = next(s for s in some("skies", 30) if len(s.clouds))
     high = around(1.0)
     seen = render_directions(scene, ORIGIN, high)
     assert seen.std(-1 if seen.shape[0] == 3 else 0).amax() > 0.02
@@ -260,14 +242,15 @@ def test_clouds_cover_part_of_the_sky_and_stay_where_they_are() -> None:
 
 
 def test_the_sky_is_infinitely_far_and_the_ground_reaches_the_horizon() -> None:
-    high, low = depths("outdoors", around(1.2)), depths("outdoors", around(-0.3))
+    scenes = some("outdoors")
+    high, low = depths(scenes, around(1.2)), depths(scenes, around(-0.3))
     assert high.isinf().float().mean() > 0.8
     assert (high.reciprocal()[high.isinf()] == 0).all()
     assert low.isfinite().all()
-    horizon = depths("outdoors", around(-0.004))
+    horizon = depths(scenes, around(-0.004))
     assert horizon.isfinite().all()
     assert horizon.max() > 100
-    sky = render_directions(make_scene("outdoors", 0), ORIGIN, UP[None])
+    sky = render_directions(scenes[0], ORIGIN, UP[None])
     assert sky[2] > sky[0]  # bluish
     assert sky.min() > 0.1
 
@@ -287,8 +270,7 @@ def without_mirrors(scene: Scene) -> Scene:
 
 
 def test_polished_floors_mirror_and_depth_is_that_of_the_floor() -> None:
-    for seed in SEEDS:
-        scene = make_scene("polished", seed)
+    for scene in some("polished"):
         floor = around(-0.35, 360)
         depth = ray_depth(scene, ORIGIN, floor)
         height = ray_depth(scene, ORIGIN, DOWN)
@@ -297,19 +279,14 @@ def test_polished_floors_mirror_and_depth_is_that_of_the_floor() -> None:
         assert torch.equal(depth, ray_depth(without_mirrors(scene), ORIGIN, floor))
         # What shows on the floor is the room above it, mixed with the floor's own colour.
         rays, depth = floor[on_floor][::12], depth[on_floor][::12]
-        seen, matt = (render_directions(s, ORIGIN, rays) for s in (scene, without_mirrors(scene)))
+        dull = without_mirrors(scene)
+        seen, matt = (render_directions(s, ORIGIN, rays) for s in (scene, dull))
         upwards = rays * torch.tensor([1.0, -1.0, 1.0])
         starts = depth[:, None] * rays + 2e-3 * UP
-        mirrored = torch.cat(
-            [
-                render_directions(without_mirrors(scene), start, ray[None])
-                for start, ray in zip(starts, upwards, strict=True)
-            ],
-            1,
-        )
+        mirrored = [render_directions(dull, *spot) for spot in zip(starts, upwards[:, None], strict=True)]
         share = scene.materials.mirror[scene.primitives.material[0]]
         assert share > 0.3
-        expected = (matt**2.2).lerp(mirrored**2.2, share) ** (1 / 2.2)
+        expected = (matt**2.2).lerp(torch.cat(mirrored, 1) ** 2.2, share) ** (1 / 2.2)
         assert (seen - expected).abs().median() < 0.02
         assert (seen - matt).abs().mean() > 0.02
 
@@ -317,7 +294,7 @@ def test_polished_floors_mirror_and_depth_is_that_of_the_floor() -> None:
 def roughness(kind: str) -> Tensor:
     """Median second difference of neighbouring pixels ``(seeds,)`` in pictures of the walls, in levels of 255."""
     camera = EquirectangularCamera((64, 128))
-    pictures = [render_camera(make_scene(kind, seed), camera, torch.eye(4)) for seed in SEEDS]
+    pictures = [render_camera(scene, camera, torch.eye(4)) for scene in some(kind)]
     return torch.stack([255 * p[:, 16:40].diff(n=2, dim=-1).abs().median() for p in pictures])
 
 
@@ -328,17 +305,20 @@ def test_bare_walls_have_next_to_no_texture() -> None:
 
 
 def test_corridors_are_long_and_narrow() -> None:
-    flat = depths("corridor", around())
+    scenes = some("corridor")
+    flat = depths(scenes, around())
     across = flat.nan_to_num(posinf=1e3).quantile(0.2, dim=1)
     assert (across < 3).all()
     assert (flat.amax(1) > 4 * across).all()
-    assert (depths("corridor", UP) < 3.2).all()
+    assert (depths(scenes, UP) < 3.2).all()
 
 
 def test_halls_are_wide_and_high() -> None:
-    assert (depths("hall", around()).median(1).values > 2).all()
-    assert depths("hall", around()).median() > 1.5 * depths("room", around()).median()
-    assert (depths("hall", torch.stack([UP, *around(1.4, 20)])).amax(1) > 2.9).all()
+    scenes = some("hall")
+    flat = depths(scenes, around())
+    assert (flat.median(1).values > 2).all()
+    assert flat.median() > 1.5 * depths(some("room"), around()).median()
+    assert (depths(scenes, torch.stack([UP, *around(1.4, 20)])).amax(1) > 2.9).all()
 
 
 @pytest.mark.parametrize("kind", scene_kinds())

@@ -179,13 +179,9 @@ def test_sets_on_disk_say_what_was_seen(
     for name, camera in data.rig.cameras.items():
         assert torch.equal(sample["seen"][name], camera.unproject(camera.pixel_grid()).valid)
     assert "seen" not in ToView(SampleView(depth_level=2, images=True))(sample)  # which has its fisheye_seen
-    stages = (
-        PhotometricAugmentation(),
-        RandomShift(),
-        RotateFisheye(tilt=0.3),
-        ToSphere(3),
-    )
-    through = OmniStereoDataset(tmp_path, split="all", transform=Compose(*stages, RotateFivefold()))
+    turns = RotateFisheye(tilt=0.3), ToSphere(3), RotateFivefold()
+    stages = Compose(PhotometricAugmentation(), RandomShift(), *turns)
+    through = OmniStereoDataset(tmp_path, split="all", transform=stages)
     batch = collate_samples([through[0], through[1]])
     assert batch["seen"].shape == (2, 4, 642)
     assert batch["seen"].dtype == torch.bool

@@ -13,6 +13,7 @@ import torch
 
 from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.data import OmniStereoDataset
+from sphericalvision.io.images import read_image
 from sphericalvision.io.yaml_files import write_yaml
 from sphericalvision.recipes.app.rigs import make_ring
 from sphericalvision.recipes.commands.render import numbered_frame
@@ -143,6 +144,9 @@ def test_the_demonstration_writes_everything(run: Run, tmp_path: Path, weights: 
     for name in (*(f"{picture}.png" for picture in pictures), "points.ply", "depth.npz", "metrics.md"):
         assert (folder / name).stat().st_size > 0, name
     assert {"index", "depth", "inverse_depth", "directions"} <= set(np.load(folder / "depth.npz"))
+    world = World(make_ring(image_size=(48, 48)), "room", samples_per_pixel=1)  # of a seed that is held out
+    image = numbered_frame(world, 3_000_000, 32, 1)["images"]["cam1"]
+    torch.testing.assert_close(read_image(folder / "input_cam1.png"), image, atol=1 / 255, rtol=0)
     table = json.loads((folder / "metrics.json").read_text())
     assert list(table) == ["IcoSweepNet", "constant depth map", "constant depth", "winner-takes-all"]
     overview = cv2.imread(str(folder / "overview.png")).astype(int)

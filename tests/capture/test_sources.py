@@ -483,6 +483,14 @@ def test_a_width_chooses_between_numbers_with_and_without_zeros(
         assert opened(images)[0].names(Selection()) == expected
 
 
+def test_a_folder_of_each_moment_is_none_of_a_camera(tmp_path: Path) -> None:
+    for moment in range(1, 5):
+        for camera in RIG.names:
+            write_image(tmp_path / f"{moment:04d}/{camera}.png", picture(moment))
+    frames = opened(str(tmp_path))[0].frames(Selection(), lambda _: True)
+    assert list(map(moments_of, frames)) == [{1}, {2}, {3}, {4}]
+
+
 def test_a_link_to_nothing_is_a_frame_that_cannot_be_read(tmp_path: Path) -> None:
     images = as_files_named(tmp_path, ["1", "2"])
     (tmp_path / "cam1/2.png").unlink()

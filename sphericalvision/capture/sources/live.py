@@ -79,10 +79,8 @@ class LiveCameras:
                     continue
                 pictures = {camera: device.retrieve()[1] for camera, device in cameras.items()}
                 if lost := [self.devices[camera] for camera, picture in pictures.items() if picture is None]:
-                    error = FileFormatError(
-                        f"images: camera {lost[0]} of this machine gave no picture {number}"
-                    )
-                    yield Frame(name, None, error)
+                    fault = f"images: camera {lost[0]} of this machine gave no picture {number}"
+                    yield Frame(name, None, FileFormatError(fault))
                     continue
                 images = {c: cv2.cvtColor(picture, cv2.COLOR_BGR2RGB) for c, picture in pictures.items()}
                 if "" in images:

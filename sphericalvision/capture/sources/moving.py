@@ -113,8 +113,6 @@ class Moving:
                 return Frame(name, None, frame.error)
             images += (frame.images[camera] for camera in self.source.rig.names)
         if float(rig.radius) < STILL:
-            error = ArgumentError(
-                f"poses: {', '.join(rig.names)} are in one place; spacing= passes such over"
-            )
-            return Frame(name, None, error)
+            fault = f"poses: {', '.join(rig.names)} are in one place; spacing= passes such over"
+            return Frame(name, None, ArgumentError(fault))
         return Frame(name, dict(zip(rig.names, images, strict=True)), rig=rig)

@@ -36,6 +36,7 @@ LAYOUTS = (
     "image_{camera}/data/{frame}",
     "{camera}",
     "cam{camera}",
+    "{frame}/{camera}",
 )
 """How folders of captures name their files, most explicit first."""
 RECTIFIED = re.compile(r"(?i)(?<![a-z])(rect|rectified|undist|undistorted)(?![a-z])")
@@ -44,8 +45,6 @@ MASK_SAMPLES = 100
 """Pixels of the longer side of a mask that are looked at."""
 LEAST_AHEAD = 0.01
 """Of the inner half of a field of view, usable."""
-JOINED = "{frame}"
-"""How they name pictures with the views of all cameras, and images of one."""
 
 
 @dataclass(frozen=True)
@@ -144,8 +143,7 @@ def open_source(
     used = rig if cameras is None else rig.subset(list(cameras))
     opening = _Opening(rig, used, frames, list(leave_out), tolerance, labels or {})
     path = Path(images).expanduser()
-    is_folder = path.is_dir() and bag_of(path) is None
-    source = _of_folder(path, opening) if is_folder else opening.source(images)
+    source = _of_folder(path, opening) if path.is_dir() and bag_of(path) is None else opening.source(images)
     origins = ["/".join(path.parts[-3:]), *getattr(source, "topics", {}).values()]
     straight = next((origin for origin in origins if RECTIFIED.search(origin)), None)
     if straight and not all(isinstance(camera, PinholeCamera) for camera in used.cameras.values()):
@@ -183,8 +181,8 @@ def _of_folder(folder: Path, opening: _Opening) -> Source:
             str(file.relative_to(folder))
             for file in sorted(files)
             if file.parent in folders
-            and file.suffix.lower() in (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES)
             and (file.suffix != suffix or file not in group)
+            and file.suffix.lower() in (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES)
         ]
         if rest:
             warnings.warn(
@@ -216,7 +214,7 @@ def _of_files(folder: Path, files: Iterable[Path], opening: _Opening) -> str | N
     if not patterns:  # one video of all views, or pictures of them
         joined = sorted(file for file in files if file.parent == folder and file.suffix in suffixes)
         videos = [str(file) for file in joined if file.suffix.lower() in VIDEO_SUFFIXES]
-        stills = {f"{folder}/{JOINED}{file.suffix}": None for file in joined if str(file) not in videos}
+        stills = {f"{folder}/{{frame}}{file.suffix}": None for file in joined if str(file) not in videos}
         patterns = [*videos, *stills]
     bags = [file for file in files if file.name.lower().endswith(BAG_SUFFIXES)]
     patterns += sorted({str(file.parent if is_part(file) else file) for file in bags})
@@ -230,11 +228,11 @@ def _of_files(folder: Path, files: Iterable[Path], opening: _Opening) -> str | N
 
 def _layouts(folder: Path, suffix: str, opening: _Opening) -> list[str]:
     """The layouts of which a folder has files of every camera, with this suffix; each of files of its own."""
-    patterns: dict[str, set[Path]] = {}
+    matches: list[tuple[bool, str, set[Path]]] = []
     is_video = suffix.lower() in VIDEO_SUFFIXES
-    layouts = [layout for layout in LAYOUTS if not (is_video and JOINED in layout)]
+    layouts = [layout for layout in LAYOUTS if not (is_video and "{frame}" in layout)]
     if len(opening.rig) == 1 and not is_video:
-        layouts.insert(0, JOINED)
+        layouts.insert(0, "{frame}")
     for layout in layouts:
         pattern = f"{folder}/{layout}{suffix}"
         try:
@@ -242,9 +240,14 @@ def _layouts(folder: Path, suffix: str, opening: _Opening) -> list[str]:
         except MissingFileError:
             continue
         # 1.png to 4.png may be four cameras, or four pictures of all views: names alone tell.
-        if layout == "{camera}" and any(name != label for name, label in labels.items()):
+        by_number = any(name != label for name, label in labels.items())
+        if layout in ("{camera}", "{frame}/{camera}") and by_number:
             continue
         files = {file for label in labels.values() for file in files_of(pattern, label).values()}
+        matches.append((by_number, pattern, files))
+    patterns: dict[str, set[Path]] = {}
+    matches.sort(key=lambda match: match[0])  # 0001/cam2.png is of cam2, not of cam1
+    for _, pattern, files in matches:
         if not any(files <= others for others in patterns.values()):
             patterns[pattern] = files
     return list(patterns)

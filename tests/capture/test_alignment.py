@@ -109,6 +109,11 @@ def test_depth_is_better_with_cameras_turned_back() -> None:
     assert after < right + 0.4 * (before - right)
 
 
+@pytest.mark.slow
+def test_three_frames_tell_a_right_calibration_within_a_fifth_of_a_degree() -> None:
+    assert judged("room", knock(0, 0.0)).within < math.radians(0.2)
+
+
 def test_a_right_calibration_stays_as_it_is() -> None:
     found = align_rig(predictor(), frames("room")[:1])
     assert found.turned == ()

@@ -172,7 +172,7 @@ METHODS: dict[type, dict[str, Callable[[], Any]]] = {
     },
 }  # fmt: skip
 WITHOUT_NUMBERS = {
-    Camera: {"batch_shape", "device", "dtype"},
+    Camera: {"batch_shape", "device", "dtype", "edges"},
     CameraRig: {"names", "batch_shape"},
     Trajectory: set[str](),
 }

@@ -80,8 +80,8 @@ class Depth:
         network: the network; ``network.grid`` is the grid of the values.
         rig: the cameras.
         images: camera name -> ``(*b, 3, h, w)`` in [0, 1], for colours.
-        corrections: of each frame a ``Correction``, what was taken out of its images before depth was estimated;
-            ``compensations`` has plain numbers.
+        corrections: of each frame a ``Correction`` or ``Compensation``, what was taken out of its images before depth
+            was estimated; ``compensations`` has plain numbers.
         accumulated: ``(*grid)`` ``information`` of the average with the frames before; None for one frame alone.
 
     Examples:
@@ -100,7 +100,7 @@ class Depth:
     network: DepthNetwork
     rig: CameraRig
     images: Mapping[str, Tensor] = field(repr=False)
-    corrections: tuple[Correction, ...] = field(default=(), repr=False)
+    corrections: tuple[Correction | Compensation, ...] = field(default=(), repr=False)
     accumulated: Float[Tensor, "*batch_and_grid"] | None = field(default=None, repr=False)
 
     @property
@@ -142,7 +142,10 @@ class Depth:
     @property
     def compensations(self) -> tuple[Compensation, ...]:
         """Of each frame what was taken out of its images; none where that was not asked for."""
-        return tuple(correction.compensation(self.rig) for correction in self.corrections)
+        return tuple(
+            each if isinstance(each, Compensation) else each.compensation(self.rig)
+            for each in self.corrections
+        )
 
     @property
     def batch_shape(self) -> tuple[int, ...]:

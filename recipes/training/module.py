@@ -85,9 +85,14 @@ class TrainingModule(pl.LightningModule):
         checkpoint["network_hyperparameters"] = self.net.hyperparameters
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Take how far the schedule is from the checkpoint, and its settings from this run."""
+        """Take how far schedule and batches are from the checkpoint, and settings of the schedule from this run."""
         states = checkpoint.get("lr_schedulers", [])
         checkpoint["lr_schedulers"] = [progress_only(state) for state in states]
+        if (batches := self.trainer.accumulate_grad_batches) > 1:
+            # Of a step that was not taken, the gradients so far are gone: all of its batches come again.
+            progress = checkpoint["loops"]["fit_loop"]["epoch_loop.batch_progress"]
+            for counts in (progress["total"], progress["current"]):
+                counts.update(dict.fromkeys(counts, batches * checkpoint["global_step"]))
 
     def on_train_batch_start(self, batch: Any, batch_idx: int) -> None:
         """Seed the random draws inside the step by its number alone."""

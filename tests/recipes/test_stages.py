@@ -9,7 +9,9 @@ import re
 import shutil
 import signal
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -24,7 +26,8 @@ from tests.recipes.conftest import run_recipe
 from tests.recipes.test_batches import module_of
 from tests.recipes.tiny import Run, composed
 
-STAGES = ("prior", "coarse", "fusion", "finer", "longer", "hints")
+STAGES = ("prior", "coarse", "fusion", "finer", "longer", "further", "hints")
+LAST = STAGES[3:]
 SMALL = """
 # @package _global_
 defaults: [/experiment/refinedsweepnet/{stage}]
@@ -55,7 +58,7 @@ def write_experiments(folder: Path) -> None:
         text = SMALL.format(stage=stage)
         if stage != "prior":
             text = text.replace("{level: 4, feature_channels: 4}", SIZES)
-        if stage in ("finer", "longer"):  # two steps of the refinement
+        if stage in ("finer", "longer", "further"):  # two steps of the refinement
             text = text.replace(
                 "    4: {", "    7: {times: 0}\n    5: {seeds: [200, 1], times: 1, batch_size: 1}\n    4: {"
             )
@@ -83,11 +86,11 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def started(done: Path, tmp_path: Path) -> Iterator[Path]:
-    """The same as ``done``, of which the last three stages have not begun."""
+    """The same as ``done``, of which the last stages have not begun."""
     folder = tmp_path / "again"
     shutil.copytree(done, folder)
     results = folder / "outputs/refinedsweepnet"
-    for stage in STAGES[3:]:
+    for stage in LAST:
         shutil.rmtree(results / stage)
         (results / f"{stage}.safetensors").unlink()
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
@@ -102,14 +105,10 @@ def weights(folder: Path, stage: str) -> dict[str, torch.Tensor]:
 
 
 def test_each_stage_starts_from_the_one_before_and_learns_its_part(done: Path) -> None:
-    prior, coarse, fusion, finer, longer, hints = (weights(done, stage) for stage in STAGES)
-    assert all(torch.equal(value, coarse[f"prior.{name}"]) for name, value in prior.items())
-    for before, after, parts in (
-        (coarse, fusion, ("fusion", "refinement")),
-        (fusion, finer, ("fusion", "refinement")),
-        (finer, longer, ("fusion", "refinement")),
-        (longer, hints, ("fusion.hint_gate.exit",)),
-    ):
+    prior, *others = (weights(done, stage) for stage in STAGES)
+    assert all(torch.equal(value, others[0][f"prior.{name}"]) for name, value in prior.items())
+    for stage, (before, after) in zip(STAGES[2:], pairwise(others), strict=True):
+        parts = ("fusion.hint_gate.exit",) if stage == "hints" else ("fusion", "refinement")
         changed = {name for name, value in after.items() if not torch.equal(value, before[name])}
         assert changed
         assert all(name.startswith(parts) for name in changed)
@@ -137,12 +136,12 @@ def test_a_stage_that_was_stopped_ends_with_the_same_weights(
     with pytest.raises(SystemExit) as status:
         train(started)
     assert status.value.code == 143
-    assert not (started / "outputs/refinedsweepnet/finer.safetensors").exists()
+    assert not (started / f"outputs/refinedsweepnet/{LAST[0]}.safetensors").exists()
     damaged = [*started.rglob("clues-*/*.npz")][:3] + [*started.rglob("samples-*/*.npz")][:3]
     for path in damaged:
         path.write_bytes(path.read_bytes()[:-100])
     train(started)
-    for stage in STAGES[3:]:
+    for stage in LAST:
         result, expected = weights(started, stage), weights(done, stage)
         assert all(torch.equal(result[name], expected[name]) for name in expected)
 
@@ -199,3 +198,14 @@ def test_a_loss_from_clues_is_that_of_the_images(tmp_path: Path) -> None:
     torch.testing.assert_close(losses[1], losses[0], rtol=2e-3, atol=0)
     with pytest.raises(ArgumentError, match="IcoSweepNet"):
         SamplesWithClues(data.plain("train").of_level[4].samples, prior, prior, tmp_path)
+
+
+def test_a_step_that_was_not_taken_begins_again_with_its_first_batch() -> None:
+    """A checkpoint of a moment between the batches of a step counts those of whole steps alone."""
+    module = module_of(IcoSweepNet(level=2, num_hypotheses=4, feature_channels=2))
+    module._trainer = SimpleNamespace(accumulate_grad_batches=2)  # type: ignore[assignment]
+    counts = {"ready": 7, "started": 7, "processed": 7, "completed": 6}
+    progress = {"total": {**counts}, "current": {**counts}, "is_last_batch": False}
+    checkpoint = {"global_step": 3, "loops": {"fit_loop": {"epoch_loop.batch_progress": progress}}}
+    module.on_load_checkpoint(checkpoint)
+    assert progress["total"] == progress["current"] == dict.fromkeys(counts, 6)

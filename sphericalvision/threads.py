@@ -14,12 +14,13 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-SPIN = "10000"
-"""Rounds for which a thread of libgomp looks for work before it sleeps, some hundred microseconds; its own choice is
-300,000, three milliseconds. A frame has thousands of short parallel loops: where another process holds a core, each of
-them would end with three milliseconds of waiting. On two cores (AVX2; four images of 512 x 512), with 1,000, 10,000,
-20,000 and, in a run of its own, 300,000, a frame took 0.85, 0.76, 0.74 and 0.77 times as long as by one thread on idle
-ones, 1.27, 1.13, 1.01 and 1.6 times next to two busy processes, and the first frame there 0.9, 1.0, 1.6 and 9 times."""
+SPIN = "1000"
+"""Rounds for which a thread of libgomp looks for work before it sleeps, some ten microseconds; its own choice is
+300,000, three milliseconds. A frame has 2,600 short parallel loops: where another process holds a core, each of them
+would end with three milliseconds of waiting. On two cores (AVX-512; four images of 1600 x 1600, means of 22 frames),
+with 300, 1,000, 3,000 and 10,000 a frame took 0.87, 0.73, 0.71 and 0.68 times as long as by one thread on idle cores,
+and 1.26, 1.31, 1.53 and 1.91 times next to two busy processes. Older cores wake more slowly: with 1,000 and 10,000
+it was 0.85 and 0.76 times on idle ones (AVX2; four images of 512 x 512), 1.27 and 1.13 times on busy ones."""
 
 WAITING = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT", "KMP_BLOCKTIME")
 """Variables by which a user says how threads wait."""

@@ -76,7 +76,7 @@ def test_freed_memory_is_kept_unless_the_user_says_otherwise() -> None:
 
 
 def test_threads_sleep_soon() -> None:
-    assert python("-c", PROGRAM).split()[0] == "10000"
+    assert python("-c", PROGRAM).split()[0] == "1000"
 
 
 @pytest.mark.parametrize("name", WAITING)
@@ -101,7 +101,7 @@ def test_a_wrong_number_of_threads_is_reported_once(
 def test_a_quota_is_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "torch")
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
-    monkeypatch.setenv("GOMP_SPINCOUNT", "1000")
+    monkeypatch.setenv("GOMP_SPINCOUNT", "2000")
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(4)), raising=False)
     monkeypatch.setattr("sphericalvision.threads._quotas", lambda *arguments: [0.5])
     prepare_threads()

@@ -28,59 +28,6 @@ from sphericalvision.shapes import check_shapes
 from sphericalvision.tables import constant_table
 
 
-def ring_ids(level: int) -> list[list[int]]:
-    """Return the five neighbours of the twelve vertices of valence five and these vertices themselves, ``(12, 6)``.
-
-    Vertices come in the order of their ids: north pole, A(k) and B(k) of chart k = 0 to 4, south pole. Neighbours
-    go round counter-clockwise as panoramas are seen, from inside, towards
-
-    * A(0) to A(4) at the north pole,
-    * A(k-1), B(k), B(k+1), A(k+1) and the north pole at A(k),
-    * the south pole, B(k+1), A(k), A(k-1) and B(k-1) at B(k),
-    * B(1), B(0), B(4), B(3), B(2) at the south pole.
-
-    Examples:
-        >>> ring_ids(0)[:2]
-        [[1, 3, 5, 7, 9, 0], [9, 2, 4, 3, 0, 1]]
-    """
-    n = 2**level
-    last = 1 + 10 * n * n
-
-    def own(chart: int, row: int, column: int) -> int:
-        return 1 + ((chart % 5) * 2 * n + row - 1) * n + column
-
-    def east(chart: int, row: int) -> int:
-        """Place in column 1, which at level 0 is the border with the next chart."""
-        if n > 1:
-            return own(chart, row, 1) if row else own(chart + 1, 1, 0)
-        return {0: own(chart + 1, 1, 0), 1: own(chart + 1, 2, 0), 2: last}[row]
-
-    rings = [[own(k, 1, 0) for k in range(5)] + [0]]
-    for k in range(5):
-        rings.append(
-            [
-                own(k - 1, 1, n - 1),
-                own(k, n + 1, 0),
-                east(k, n),
-                east(k, n - 1),
-                own(k, n - 1, 0) if n > 1 else 0,
-                own(k, n, 0),
-            ]
-        )
-        rings.append(
-            [
-                east(k, 2 * n),
-                east(k, 2 * n - 1),
-                own(k, 2 * n - 1, 0),
-                own(k - 1, n, n - 1),
-                own(k - 1, n + 1, n - 1),
-                own(k, 2 * n, 0),
-            ]
-        )
-    rings.append([own(k, 2 * n, n - 1) for k in (1, 0, 4, 3, 2)] + [last])
-    return rings
-
-
 @constant_table
 def chart_vertices(level: int, device: torch.device) -> Int[Tensor, "5 rows columns"]:
     """Return the vertices of the charts of ``hex_pad``, ``(5, 2n + 2, n + 2)``.
@@ -143,7 +90,7 @@ def hex_pad(
 
 
 def ring_values(values: Float[Tensor, "B C *N V"]) -> Float[Tensor, "B C *N 12 6"]:
-    """Return the rings of the twelve special vertices: five neighbours and the vertex itself, see ``ring_ids``.
+    """Return the rings of the twelve special vertices: five neighbours and the vertex itself, see ``ring_table``.
 
     Examples:
         >>> ring_values(torch.arange(12.0).view(1, 1, 12))[0, 0, 0]
@@ -155,8 +102,28 @@ def ring_values(values: Float[Tensor, "B C *N V"]) -> Float[Tensor, "B C *N 12 6
 
 @constant_table
 def ring_table(level: int, device: torch.device) -> Int[Tensor, "12 6"]:
-    """``ring_ids`` as a tensor."""
-    return torch.tensor(ring_ids(level), device=device)
+    """Return the five neighbours of the twelve vertices of valence five and these vertices themselves, ``(12, 6)``.
+
+    Vertices come in the order of their ids: north pole, A(k) and B(k) of chart k = 0 to 4, south pole. Neighbours
+    go round counter-clockwise as panoramas are seen, from inside, towards
+
+    * A(0) to A(4) at the north pole,
+    * A(k-1), B(k), B(k+1), A(k+1) and the north pole at A(k),
+    * the south pole, B(k+1), A(k), A(k-1) and B(k-1) at B(k),
+    * B(1), B(0), B(4), B(3), B(2) at the south pole.
+
+    Examples:
+        >>> ring_table(0, torch.device("cpu"))[:2].tolist()
+        [[1, 3, 5, 7, 9, 0], [9, 2, 4, 3, 0, 1]]
+    """
+    n, charts = 2**level, chart_vertices(level, device)
+    # Taps 0 to 5 and the centre around A and B, which a chart owns in its first column; the gap is left out.
+    around = torch.tensor(((0, -1), (1, -1), (1, 0), (0, 1), (-1, 1), (-1, 0), (0, 0)), device=device)
+    upper, lower = (charts[:, row + around[:, 0], 1 + around[:, 1]] for row in (n, 2 * n))
+    belt = torch.stack((upper[:, [0, 2, 3, 4, 5, 6]], lower[:, [3, 4, 5, 0, 1, 6]]), 1).flatten(0, 1)
+    north = torch.cat((charts[:, 1, 1], charts[0, 0, 1:2]))
+    south = torch.cat((charts[[1, 0, 4, 3, 2], -2, -2], charts[0, -2, -1:]))
+    return torch.cat((north[None], belt, south[None]))
 
 
 def fill_charts(

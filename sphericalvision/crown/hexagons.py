@@ -20,7 +20,7 @@ from sphericalvision.tables import constant_table
 Rings = tuple[tuple[int, ...], ...]
 Own = Callable[[Tensor, Tensor, Tensor | None, int], Tensor]
 
-# Taps of the five neighbours in the order of ``ring_ids``, then the tap of the gap, at north pole, A, B, south pole.
+# Taps of the five neighbours in the order of ``ring_table``, then the tap of the gap, at north pole, A, B, south pole.
 CHART_RINGS: Rings = ((2, 3, 4, 5, 0, 1), (1, 2, 3, 4, 5, 0), (3, 4, 5, 0, 1, 2), (5, 0, 1, 2, 3, 4))
 NORTH_RINGS: Rings = ((2, 3, 4, 0, 1, 5), (0, 1, 3, 4, 5, 2), (2, 3, 4, 0, 1, 5), (4, 0, 1, 2, 3, 5))
 

@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.icosphere.mesh import icosahedron_rectangles
+from sphericalvision.icosphere.mesh import icosphere_vertices
 from sphericalvision.icosphere.topology import icosphere_faces, vertex_at
 from sphericalvision.kernels import full_precision
 
@@ -45,22 +45,6 @@ class Triangles(NamedTuple):
         return 2 * ((self.chart * (2 * n) + self.row - half) * n + self.column - half) + half
 
 
-def base_corners(like: Float[Tensor, " ..."]) -> Float[Tensor, "20 3 3"]:
-    """Corners ``(20, 3, 3)`` of the icosahedron's faces, in the order of ``icosphere_faces(0)``."""
-    rectangles = icosahedron_rectangles(dtype=torch.float64)
-    charts = rectangles[:, 1:, :-1].reshape(10, 3)
-    vertices = torch.cat((rectangles[0, 0, :1], charts, rectangles[0, -1, -1:])).to(like.device)
-    return vertices[icosphere_faces(0, like.device)].to(like.dtype)
-
-
-def base_places(
-    face: Int[Tensor, "*batch"],
-) -> tuple[Int[Tensor, "*batch"], Int[Tensor, "*batch"], Int[Tensor, "*batch"], Int[Tensor, "*batch"]]:
-    """Chart, row, column and sign of faces of the icosahedron."""
-    chart, half = face // 4, face % 2
-    return chart, (face // 2) % 2 + half, half, 1 - 2 * half
-
-
 def barycentric_weights(
     unit: Float[Tensor, "M 3"],
     corners: tuple[Float[Tensor, "M 3"], Float[Tensor, "M 3"], Float[Tensor, "M 3"]],
@@ -93,10 +77,13 @@ def triple(a: Float[Tensor, "M 3"], b: Float[Tensor, "M 3"], c: Float[Tensor, "M
 @full_precision
 def descend(unit: Float[Tensor, "M 3"], level: int) -> Triangles:
     """Return the triangles that contain unit vectors ``(M, 3)``; corners are recomputed on the way, in their dtype."""
-    bases = base_corners(unit)
+    vertices = icosphere_vertices(0, torch.float64, unit.device).to(unit.dtype)
+    bases = vertices[icosphere_faces(0, unit.device)]
     # The faces of a regular icosahedron are the Voronoi cells of their centres.
     face = (unit @ F.normalize(bases.sum(1), dim=-1).T).argmax(-1)
-    chart, row, column, sign = base_places(face)
+    # Two cells a chart, two halves a cell: corner 0 is in the north-west, or in the south-east looking back.
+    chart, column = face // 4, face % 2
+    row, sign = (face // 2) % 2 + column, 1 - 2 * column
     a, b, c = bases[face].unbind(1)
     for _ in range(level):
         ab, bc, ca = (F.normalize(p + q, dim=-1) for p, q in ((a, b), (b, c), (c, a)))

@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import torch
 from pydantic.dataclasses import dataclass
@@ -52,7 +51,6 @@ def align(config: AlignConfig) -> RigTurns:
     _print(source.rig, result, frames)
     print(f"alignment {result.described()} ({len(frames)} frame(s), {time.perf_counter() - start:.1f} s).")
     if not config.check and result.turned:
-        Path(config.output).parent.mkdir(parents=True, exist_ok=True)
         save_rig(result.rig.to("cpu"), config.output, config.format)
         print(config.output)
     return result

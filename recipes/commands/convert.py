@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated
 
 import torch
@@ -84,18 +83,16 @@ def convert(config: ConvertConfig) -> dict[str, Conversion]:
         console.print("Nothing is written; give output=... for that.")
         return converted
     new = {name: conversion.camera for name, conversion in converted.items()}
-    path = Path(config.output)
-    path.parent.mkdir(parents=True, exist_ok=True)
     if rig is not None:
-        save_rig(rig.replaced(new), path, config.format)
+        save_rig(rig.replaced(new), config.output, config.format)
     elif len(new) == 1:
-        save_camera(next(iter(new.values())), path, config.format)
+        save_camera(next(iter(new.values())), config.output, config.format)
     else:
         raise ArgumentError(
             f"camera: {config.file.calibration} has {len(new)} cameras without poses; choose one of {', '.join(new)} "
             "to write it"
         )
-    print(path)
+    print(config.output)
     return converted
 
 

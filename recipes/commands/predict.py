@@ -295,7 +295,6 @@ def aligned_rig(
             verdict = align_rig(predictor, (f.images for f in source.samples() if f.images is not None))
         say(f"preparation {verdict.described()} ({time.perf_counter() - start:.1f} s)")
         if verdict.turned:
-            folder.mkdir(parents=True, exist_ok=True)
             save_rig(placed(verdict.rig.to("cpu"), torch.linalg.inv(placement)), path)
     if not path.is_file():
         return None

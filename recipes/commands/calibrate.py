@@ -343,11 +343,8 @@ def _print_image(name: str, rig: CameraRig, index: int, pixels: Tensor, squares:
 def _poses(rig: CameraRig, used: Tensor) -> Iterator[str]:
     """A line for each camera but the first: where it is, and how often the board was seen by both."""
     boards = used.sum(-1) >= FEWEST
-    axes = rig.world_from_camera[:, :3, 2].double()
+    angles = angle_from_axis(rig.axes @ rig.world_from_camera[0, :3, :3]).rad2deg()
     for index, name in enumerate(rig.names[1:], start=1):
-        angle = math.degrees(
-            torch.atan2(torch.linalg.cross(axes[0], axes[index]).norm(), axes[0] @ axes[index])
-        )
         distance = float((rig.positions[index] - rig.positions[0]).norm())
         ties = [
             f"{int((boards[:, index] & boards[:, other]).sum())} with {rig.names[other]}"
@@ -355,6 +352,6 @@ def _poses(rig: CameraRig, used: Tensor) -> Iterator[str]:
             if other != index and bool((boards[:, index] & boards[:, other]).any())
         ]
         yield (
-            f"{name}: axis {angle:.2f}° from {rig.names[0]}'s, {distance:.4f} m away; boards seen by both: "
+            f"{name}: axis {angles[index]:.2f}° from {rig.names[0]}'s, {distance:.4f} m away; boards seen by both: "
             f"{', '.join(ties)}"
         )

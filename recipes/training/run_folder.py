@@ -205,14 +205,13 @@ class WeightsBesideCheckpoint(TorchCheckpointIO):
 
     def __init__(self, net: nn.Module) -> None:
         super().__init__()
-        self.net = net
-        self._has_name = True
+        self.net: DepthNetwork | None = None
         if isinstance(net, DepthNetwork):
             try:
                 network_name(net)
+                self.net = net
             except ArgumentError as error:
                 warnings.warn(f"weights alone are not written: {error}", stacklevel=2)
-                self._has_name = False
 
     def save_checkpoint(
         self, checkpoint: dict[str, Any], path: Any, storage_options: Any | None = None
@@ -221,12 +220,11 @@ class WeightsBesideCheckpoint(TorchCheckpointIO):
         path = Path(path)
         with atomic_write(path) as temporary:
             super().save_checkpoint(checkpoint, temporary, storage_options)
-        if not isinstance(self.net, DepthNetwork) or not self._has_name:
-            return
         net = self.net
-        if (
-            "current_model_state" in checkpoint
-        ):  # of averaged weights, which were validated; the net has others
+        if net is None:
+            return
+        if "current_model_state" in checkpoint:
+            # Of averaged weights, which were validated; the network has others.
             net = copy.deepcopy(net)
             state = checkpoint["state_dict"].items()
             net.load_state_dict({name[4:]: value for name, value in state if name.startswith("net.")})

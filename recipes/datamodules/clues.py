@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -18,11 +17,10 @@ from sphericalvision.models import DepthNetwork, IcoSweepNet, RefinedSweepNet
 from sphericalvision.models.hint_gate import SweepClues
 from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.models.weights.files import identity_of
+from sphericalvision.recipes.datamodules.data_module import Sample
 from sphericalvision.scenes import WorldSamples
 from sphericalvision.scenes.cache import ArrayCache, Kept
 from sphericalvision.scenes.samples import images_as_floats
-
-Sample = dict[str, Any]
 
 
 def prior_of(weights: str | Path) -> IcoSweepNet:

@@ -11,10 +11,9 @@ from torch import Tensor
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.models import DepthNetwork
+from sphericalvision.recipes.datamodules.data_module import Sample
 from sphericalvision.scenes.samples import images_as_floats
 from sphericalvision.sweep.ring_mean import coarser_images, ids_of_coarser_level
-
-Sample = dict[str, Any]
 
 
 def images_of(batch: Sample, net: DepthNetwork) -> tuple[Tensor, Tensor | None]:

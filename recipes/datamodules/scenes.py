@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import torch
 from annotated_types import Len
@@ -54,8 +54,6 @@ class RenderedDataModule(DepthDataModule):
     cache_dir: Text | None = None
 
     of_training = ("seed", "augment")
-    made_before: ClassVar[tuple[str, ...]] = ("train", "val")
-    """Splits that are rendered before training, so that their progress shows; the others as it goes."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -106,7 +104,7 @@ class RenderedDataModule(DepthDataModule):
 
     def prepare_data(self) -> None:
         """Render, where a cache keeps it, what training and validation will read, so that its progress shows."""
-        for split in self.made_before:
+        for split in ("train", "val"):
             self.render(split)
 
     def render(self, split: str) -> None:

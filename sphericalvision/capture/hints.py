@@ -20,9 +20,9 @@ from sphericalvision.capture.result import Depth
 from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_tensor, check_type
 from sphericalvision.geometry.surfaces import distance_along
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.models.candidate_refinement import ring_around
 from sphericalvision.shapes import check_shapes
 from sphericalvision.sweep import DepthHint, index_from_inverse_depth
+from sphericalvision.sweep.ring_mean import vertex_rings
 
 if TYPE_CHECKING:
     from sphericalvision.capture.predictor import Predictor
@@ -315,9 +315,9 @@ class CarriedDepth:
         surprise, grid = alone, depth.network.grid
         # What moves is seen in directions side by side, what flickers less so
         if isinstance(grid, Icosphere):
-            ring = ring_around(grid.level, alone.device)
+            rings = vertex_rings(grid.level, alone.device)
             for _ in range(2):
-                surprise = (surprise + surprise[ring].sum(1)) / 7
+                surprise = surprise[rings].mean(1)
         same = (alone.abs() < OUTLIER) & (surprise.abs() <= SURPRISE) & (depth.index.flatten() > 0)
         # Most of what is unsure and contradicts is a guess that the next frame does not repeat. What is left of earlier
         # frames is less than they need to stay once more.

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from sphericalvision.geometry.lookup import read_entries
 from sphericalvision.icosphere import icosphere_rings, icosphere_vertices, level_from_num_vertices
 from sphericalvision.tables import constant_table
 
@@ -72,12 +73,7 @@ def local_contrast(image: Float[Tensor, "*batch C V"]) -> Float[Tensor, "*batch 
 
 def _most(values: Tensor, rings: Tensor) -> Tensor:
     """The greatest of the values ``(*, V)`` within rings ``(V, k)``, whose missing entries are -1."""
-    most = values
-    for column in rings.unbind(1):
-        most = torch.maximum(
-            most, values.index_select(-1, column.clamp(min=0)).where(column >= 0, -torch.inf)
-        )
-    return most
+    return read_entries(values, rings.clamp(min=0)).where(rings >= 0, -torch.inf).amax(-1)
 
 
 def _off_plane(index: Tensor, rings: Tensor) -> Tensor:

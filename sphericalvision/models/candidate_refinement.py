@@ -11,18 +11,14 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from sphericalvision.crown import HexConv2d
-from sphericalvision.icosphere import (
-    icosphere_neighbors,
-    icosphere_upsample,
-    level_from_num_vertices,
-)
+from sphericalvision.icosphere import icosphere_upsample, level_from_num_vertices
 from sphericalvision.icosphere.hierarchy import icosphere_vertex_parents
 from sphericalvision.models.hexunet import HexResidualBlock
 from sphericalvision.models.hint_gate import HintedIndex
 from sphericalvision.models.logit_fusion import FusedLogits, camera_clue
 from sphericalvision.models.tried_hypotheses import tried_index, two_modes
 from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth
-from sphericalvision.tables import constant_table
+from sphericalvision.sweep.ring_mean import vertex_rings
 
 RARE = -4.0
 """Logit of the sky before training."""
@@ -194,9 +190,9 @@ def candidates_of(
     level = level_from_num_vertices(logits.shape[-1])
     # Each finer vertex lies half-way between two coarser ones, or on one, which is then both of its parents.
     one, other = icosphere_vertex_parents(level + 1, logits.device).unbind(1)
-    around = best[:, ring_around(level, logits.device)]
+    around = best[:, vertex_rings(level, logits.device)]
     # An edge may lie a vertex off in the coarse answer: the other side is offered from a ring around both parents.
-    nearest, farthest = torch.maximum(best, around.amax(-1)), torch.minimum(best, around.amin(-1))
+    nearest, farthest = around.amax(-1), around.amin(-1)
     first, last = best[:, one], best[:, other]
     index = torch.stack(
         (
@@ -227,10 +223,3 @@ def candidates_of(
             for values in (index, mean)
         )
     return Candidates(index, mean, step, spread)
-
-
-@constant_table
-def ring_around(level: int, device: torch.device) -> Tensor:
-    """Neighbours of each vertex, and itself where there are five."""
-    ring = icosphere_neighbors(level, device)
-    return torch.where(ring < 0, torch.arange(len(ring), device=device)[:, None], ring)

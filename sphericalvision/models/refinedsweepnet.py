@@ -25,7 +25,6 @@ from sphericalvision.models.candidate_refinement import (
     RefinedIndex,
     candidates_of,
     finer_logits,
-    ring_around,
 )
 from sphericalvision.models.depth_network import DepthNetwork
 from sphericalvision.models.hint_gate import HintedIndex, SweepClues
@@ -47,7 +46,7 @@ from sphericalvision.sweep.appearance_at_depth import (
     appearance_around,
     appearance_at_depth,
 )
-from sphericalvision.sweep.ring_mean import coarser_images, ids_of_coarser_level
+from sphericalvision.sweep.ring_mean import coarser_images, ids_of_coarser_level, vertex_rings
 from sphericalvision.sweep.semi_global import SemiGlobalTables, check_tables
 from sphericalvision.sweep.visibility import check_seen, seen_in_view
 from sphericalvision.tables import constant_table
@@ -476,11 +475,11 @@ def _loss_of_step(refined: RefinedIndex, true: Tensor, valid: Tensor, loss: Call
 def _edge_weights(true: Tensor, valid: Tensor) -> Tensor:
     """``(B, V)``: 0 where nothing is known, 1, and more beside an edge of the true index."""
     # Most of the error lies there, and most of that where the coarse answer has missed or fattened something.
-    ring = ring_around(level_from_num_vertices(true.shape[-1]), true.device)
-    around, known = true[:, ring], valid[:, ring]
+    rings = vertex_rings(level_from_num_vertices(true.shape[-1]), true.device)
+    around, known = true[:, rings], valid[:, rings]
     highest = around.masked_fill(~known, -torch.inf).amax(-1)
     lowest = around.masked_fill(~known, torch.inf).amin(-1)
-    return valid * (1 + EDGE_WEIGHT * (torch.maximum(highest, true) - torch.minimum(lowest, true) > 1))
+    return valid * (1 + EDGE_WEIGHT * (highest - lowest > 1))
 
 
 def _cross_entropy(logits: Tensor, index: Tensor) -> Tensor:

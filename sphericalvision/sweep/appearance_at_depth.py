@@ -13,13 +13,12 @@ from torch import Tensor
 from sphericalvision.geometry.lookup import weighted_rows
 from sphericalvision.icosphere import (
     TriangleLocator,
-    icosphere_neighbors,
     icosphere_vertices,
     level_from_num_vertices,
 )
 from sphericalvision.kernels import Operator
 from sphericalvision.shapes import check_shapes
-from sphericalvision.sweep.ring_mean import ids_of_coarser_level
+from sphericalvision.sweep.ring_mean import ids_of_coarser_level, vertex_rings
 from sphericalvision.sweep.visibility import check_seen
 from sphericalvision.tables import constant_table
 
@@ -114,10 +113,8 @@ def _planes(images: Tensor, seen: Tensor) -> Tensor:
 @constant_table
 def _seven_directions(level: int, device: torch.device) -> Tensor:
     """Directions ``(3, V, 7)`` of each vertex and half-way to its neighbours; of five it counts itself again."""
-    ids = ids_of_coarser_level(level + 1, level, device)[:, None]
-    neighbors = icosphere_neighbors(level + 1, device)[ids[:, 0]]
-    ring = torch.cat((ids, torch.where(neighbors < 0, ids, neighbors)), 1)
-    return icosphere_vertices(level + 1, device=device)[ring].permute(2, 0, 1).contiguous()
+    rings = vertex_rings(level + 1, device)[ids_of_coarser_level(level + 1, level, device)]
+    return icosphere_vertices(level + 1, device=device)[rings].permute(2, 0, 1).contiguous()
 
 
 def _around_all(

@@ -7,8 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sphericalvision.icosphere import icosphere_neighbors, level_from_num_vertices
-from sphericalvision.sweep.ring_mean import ring_mean
+from sphericalvision.geometry.lookup import read_entries
+from sphericalvision.icosphere import level_from_num_vertices
+from sphericalvision.sweep.ring_mean import ring_mean, vertex_rings
 
 #: Logistic regression of "error below one hypothesis" on the two features: 42 frames of 12 rendered scenes, level and
 #: tilted by 30 degrees, clean, noisy, faint and bare, N = 16, costs at level 5 and tried at every half hypothesis.
@@ -51,20 +52,11 @@ def sweep_confidence(
     at_winner = cost.gather(1, winner.long())
     far = (hypotheses - winner).abs() > 1.5 * substeps
     margin = (cost - at_winner).where(far, torch.inf).amin(1)
-    neighbors = icosphere_neighbors(level_from_num_vertices(cost.shape[-1]), cost.device)
-    farthest, nearest = index, index
+    rings = vertex_rings(level_from_num_vertices(cost.shape[-1]), cost.device)
+    largest, smallest = index, index
     for _ in range(2):
-        farthest, nearest = _most_around(farthest, neighbors), -_most_around(-nearest, neighbors)
-    spread = (farthest - nearest) / substeps
+        largest, smallest = read_entries(largest, rings).amax(-1), read_entries(smallest, rings).amin(-1)
+    spread = (largest - smallest) / substeps
     logit = WEIGHT_OF_MARGIN * margin.clamp(1e-6, 1e6).log() + WEIGHT_OF_SPREAD * (spread + 0.15).log()
     contrast = ring_mean(correlation.T).T / LEAST_CORRELATION
     return (BIAS + logit).sigmoid() * contrast.clamp(0, 1)
-
-
-def _most_around(values: Tensor, neighbors: Tensor) -> Tensor:
-    """The greatest of the values ``(B, V)`` at a vertex and its neighbours."""
-    most = values
-    for column in neighbors.unbind(1):
-        around = values.index_select(1, column.clamp(min=0))
-        most = torch.maximum(most, around.where(column >= 0, -torch.inf))
-    return most

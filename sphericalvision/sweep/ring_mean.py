@@ -74,6 +74,14 @@ def ids_of_coarser_level(
 
 
 @constant_table
+def vertex_rings(level: int, device: torch.device) -> Int[Tensor, "V 7"]:
+    """Return the ids of each vertex and its neighbours, ``(V, 7)``; one with five neighbours stands there twice."""
+    ids = torch.arange(num_icosphere_vertices(level), device=device)[:, None]
+    neighbors = icosphere_neighbors(level, device)
+    return torch.cat((ids, torch.where(neighbors < 0, ids, neighbors)), 1)
+
+
+@constant_table
 def _rings(level: int, coarser: int, device: torch.device) -> tuple[Tensor, Tensor]:
     """Ids ``(V, 7)`` of a coarser level's vertices and their neighbours, and the share of each in the mean."""
     own = ids_of_coarser_level(level, coarser, device)[:, None]

@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from jaxtyping import Bool, Shaped
 from torch import Tensor
@@ -14,9 +13,8 @@ from torch import Tensor
 from sphericalvision.cameras import Camera, field_of_view
 from sphericalvision.cameras.checks import check_image
 from sphericalvision.geometry import angle_from_axis
+from sphericalvision.viz.color import Picture
 from sphericalvision.viz.figure import figure_pixels
-
-Picture = npt.NDArray[np.uint8]
 
 _DPI = 150
 _SAMPLES = 400  # angles are looked up at so many places along the longer side of the image

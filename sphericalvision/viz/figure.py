@@ -9,15 +9,12 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from sphericalvision.core import ArgumentError, ShapeError
-from sphericalvision.viz.color import colorize, fade
+from sphericalvision.viz.color import Picture, colorize, fade
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-Picture = npt.NDArray[np.uint8]
 
 _BORDER = 10  # pixels left around a trimmed figure
 _LEAST_WIDTH = 640  # titles and ticks fit; narrower pictures are enlarged by a whole factor

@@ -6,9 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any
 
-import numpy.typing as npt
 import torch
 from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
@@ -18,11 +16,17 @@ from sphericalvision.core import ShapeError
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere import Equirectangular
-from sphericalvision.viz.color import DEPTH_MAP, ERROR_MAP, depth_ticks, depth_to_color, error_to_color, fade
+from sphericalvision.viz.color import (
+    DEPTH_MAP,
+    ERROR_MAP,
+    Picture,
+    depth_ticks,
+    depth_to_color,
+    error_to_color,
+    fade,
+)
 from sphericalvision.viz.figure import add_scale_bar
 from sphericalvision.viz.pointcloud import point_colors
-
-Picture = npt.NDArray[Any]
 
 
 @check_shapes

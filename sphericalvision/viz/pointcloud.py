@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,15 +19,6 @@ from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.io.files import atomic_write, write_bytes
 from sphericalvision.kernels import full_precision
 from sphericalvision.shapes import check_shapes
-
-
-class PointCloud(NamedTuple):
-    """Points ``(n, 3)`` in metres in the rig's frame (x right, y down, z forward) and colours ``(n, 3)`` "
-    "in [0, 1]."""
-
-    points: Float[Tensor, "n 3"]
-    colors: Float[Tensor, "n 3"]
-
 
 SUFFIXES = (".ply", ".glb", ".obj", ".stl", ".xyz")
 """Files of points that can be written."""

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -18,13 +17,12 @@ from sphericalvision.cameras.field_of_view import directions_around_axis, visibl
 from sphericalvision.core import check_type
 from sphericalvision.geometry import longitude_latitude_from_directions
 from sphericalvision.sphere import Equirectangular
+from sphericalvision.viz.color import Picture
 from sphericalvision.viz.figure import figure_pixels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from mpl_toolkits.mplot3d import Axes3D
-
-Picture = npt.NDArray[np.uint8]
 
 _WIDTH, _DPI = 5, 150  # inches: letters can be read on a telephone, too
 _ROUND = torch.linspace(0, 2 * math.pi, 181, dtype=torch.float64)
@@ -163,10 +161,8 @@ def coverage_panorama(
 
 def _draw_3d(axes: Axes3D, points: Tensor, **style: Any) -> None:
     """A line through points (n, 3) of the world; matplotlib's third axis points up, ours (y) down."""
-    from mpl_toolkits.mplot3d.art3d import Line3D
-
     x, y, z = points.T.tolist()
-    axes.add_line(Line3D(x, z, [-value for value in y], **style))
+    axes.plot(x, z, [-value for value in y], **style)
 
 
 def _draw_axes(axes: Axes3D, origin: Tensor, rotation: Tensor, length: float) -> None:

@@ -87,21 +87,10 @@ def _sums_of_taps(
     """
     (height, width), step = image_size, stride[1]
     taps = taps_of(image_size, kernel_size, stride, dilation, torch.float64, "cpu").flatten(0, 2)
-    tap_ids, entries = torch.arange(len(taps), device="cpu"), []
-    base, part = taps.floor().long(), taps - taps.floor()
-    for right in (0, 1):
-        for down in (0, 1):
-            column, row = base[:, 0] + right, base[:, 1] + down
-            bilinear_weight = (part[:, 0] if right else 1 - part[:, 0]) * (
-                part[:, 1] if down else 1 - part[:, 1]
-            )
-            # Beyond a pole, on the other side: between two for an odd width
-            over = (row < 0) | (row >= height)
-            row = row.clamp(0, height - 1)
-            for turn in (width // 2, (width + 1) // 2):
-                wrapped = torch.where(over, column + turn, column) % width
-                entries.append((tap_ids, row * step + wrapped % step, wrapped // step, bilinear_weight / 2))
-    tap_ids, row, shift, weight = (torch.cat(each) for each in zip(*entries, strict=True))
+    ids, weight = taps_across_edges(taps, image_size, "sphere")
+    tap_ids = torch.arange(len(taps), device="cpu").repeat_interleave(ids.shape[1])
+    row, column = ids.flatten() // width, ids.flatten() % width
+    row, shift, weight = row * step + column % step, column // step, weight.flatten()
     # The same pixel twice is one entry, and what has no weight is none.
     length = width // step
     keys, index = torch.unique((tap_ids * height * step + row) * length + shift, return_inverse=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from sphericalvision.core import ShapeError, check_choice
@@ -16,25 +16,33 @@ from sphericalvision.geometry.directions import broadcast_shapes, in_single_prec
 from sphericalvision.shapes import check_shapes
 
 
-def wrap_panorama(image: Float[Tensor, "*batch h w"], poles: bool = True) -> Float[Tensor, "*batch h+2 w+2"]:
-    """A panorama ``(*, h, w)`` with one more column on either side and one more row above and below.
+def wrap_panorama(
+    image: Shaped[Tensor, "*batch h w"], sides: tuple[int, int, int, int] = (1, 1, 1, 1), poles: bool = True
+) -> Shaped[Tensor, "*batch h_out w_out"]:
+    """A panorama ``(*, h, w)`` continued across its left and right edge and by more rows above and below.
 
     Args:
         image: equirectangular, all around.
-        poles: whether it reaches up to the poles; then beyond a pole stands its row as seen from behind, else the
-            row is repeated.
+        sides: how many more columns and rows there are: left, right, top, bottom.
+        poles: whether it reaches up to the poles; then beyond a pole its rows follow as seen from behind, else the
+            outermost rows again.
 
     Examples:
         >>> wrap_panorama(torch.tensor([[1, 2, 3, 4]]).float())[0]
         tensor([2., 3., 4., 1., 2., 3.])
     """
-    width = image.shape[-1]
+    left, right, top, bottom = sides
+    height, width = image.shape[-2:]
 
-    def beyond(row: Tensor) -> Tensor:  # an odd width has no pixel exactly behind, hence the mean of its two
-        return (row.roll(width // 2, -1) + row.roll((width + 1) // 2, -1)) / 2 if poles else row
+    def beyond(rows: Tensor) -> Tensor:
+        if not poles:
+            return rows
+        behind = rows.flip(-2).roll(width // 2, -1)
+        # An odd width has no pixel exactly behind, hence the mean of its two.
+        return (behind + behind.roll(1, -1)) / 2 if width % 2 else behind
 
-    image = torch.cat((beyond(image[..., :1, :]), image, beyond(image[..., -1:, :])), -2)
-    return torch.cat((image[..., -1:], image, image[..., :1]), -1)
+    image = torch.cat((beyond(image[..., :top, :]), image, beyond(image[..., height - bottom :, :])), -2)
+    return torch.cat((image[..., width - left :], image, image[..., :right]), -1)
 
 
 @check_shapes

@@ -205,7 +205,7 @@ class PaddedLookup(ImageLookup):
 
     def interpolate(self, images: Float[Tensor, "*images C h w"]) -> Float[Tensor, "*batch C P m"]:
         """Return the values at all positions, (*b, C, P, m)."""
-        return super().interpolate(wrap_panorama(images, self.poles))
+        return super().interpolate(wrap_panorama(images, poles=self.poles))
 
 
 def _grid(u: Tensor, v: Tensor, seen: Tensor, image_size: tuple[int, int]) -> Tensor:

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-import torch
 from jaxtyping import Shaped
 from torch import Tensor, nn
 
 from sphericalvision.core import ArgumentError
+from sphericalvision.geometry.bilinear import wrap_panorama
 from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere.grids.cube_padding import Padding, cube_pad, four_sides
 
@@ -32,27 +32,19 @@ def equirectangular_pad(
         ArgumentError: if a padding is negative, or larger than the images.
 
     Examples:
+        >>> import torch
         >>> equirectangular_pad(torch.tensor([[1.0, 2.0, 3.0, 4.0]]), 1)
         tensor([[2., 3., 4., 1., 2., 3.],
                 [4., 1., 2., 3., 4., 1.],
                 [2., 3., 4., 1., 2., 3.]])
     """
-    left, right, top, bottom = four_sides(padding)
+    sides = four_sides(padding)
     height, width = images.shape[-2:]
-    if max(left, right) > width or max(top, bottom) > height:
+    if max(sides[:2]) > width or max(sides[2:]) > height:
         raise ArgumentError(
             f"padding: expected at most the size {height} x {width} of the images, got {padding}"
         )
-    if top or bottom:
-        behind = images.roll(width // 2, -1)
-        if width % 2:
-            behind = (behind + images.roll(width // 2 + 1, -1)) / 2
-        images = torch.cat(
-            (behind[..., :top, :].flip(-2), images, behind[..., height - bottom :, :].flip(-2)), -2
-        )
-    if left or right:
-        images = torch.cat((images[..., width - left :], images, images[..., :right]), -1)
-    return images
+    return wrap_panorama(images, sides)
 
 
 class _Pad2d(nn.Module):
@@ -70,6 +62,7 @@ class EquirectangularPad2d(_Pad2d):
     """Padding of panoramas across the seam and over the poles; see ``equirectangular_pad``.
 
     Examples:
+        >>> import torch
         >>> network = nn.Sequential(EquirectangularPad2d(1), nn.Conv2d(3, 8, 3))
         >>> network(torch.rand(1, 3, 16, 32)).shape
         torch.Size([1, 8, 16, 32])
@@ -83,6 +76,7 @@ class CubePad2d(_Pad2d):
     """Padding of cube maps by the faces across their edges; see ``cube_pad``.
 
     Examples:
+        >>> import torch
         >>> network = nn.Sequential(CubePad2d(1), nn.Conv2d(3, 8, 3))
         >>> network(torch.rand(6, 3, 16, 16)).shape  # one cube map, its faces in the batch
         torch.Size([6, 8, 16, 16])

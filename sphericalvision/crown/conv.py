@@ -61,17 +61,10 @@ def crown_conv3d(
     bias: Float[Tensor, " C_out"] | None = None,
     stride: int = 1,
 ) -> Crown:
-    """Convolve a crown of volumes with seven taps at three neighbouring hypotheses.
+    """Convolve a crown of volumes with seven taps at three neighbouring hypotheses; all N hypotheses are kept.
 
-    Args:
-        crown: rectangles ``(B, 5, in, N, h, w)``.
-        weight: ``(out, in, 21)``, index ``7 * depth + tap``, shared by all rectangles.
-        bias: ``(out,)``.
-        stride: 1, or 2 to keep the vertices of the next coarser level; all N hypotheses are kept.
-
-    Raises:
-        ShapeError: if the crown, its channels or the weight do not fit.
-        ArgumentError: if the stride is neither 1 nor 2, or 2 at level 0.
+    As ``crown_conv2d``, with rectangles ``(B, 5, in, N, h, w)`` and the weight ``(out, in, 21)``, index
+    ``7 * depth + tap``.
 
     Examples:
         >>> import torch
@@ -119,12 +112,7 @@ class CrownConv2d(HexagonWeights):
 class CrownConv3d(HexagonWeights):
     """Hexagonal convolution on a crown of volumes with weight ``(out, in, 21)``; see ``crown_conv3d``.
 
-    Args:
-        in_channels: channels of the crown given.
-        out_channels: channels of the crown returned.
-        stride: 1, or 2 to keep the vertices of the next coarser level; hypotheses are always kept.
-        bias: whether to add a learned bias.
-        kernel_size: is refused: a kernel is a vertex and its neighbours.
+    Arguments are those of ``CrownConv2d``; hypotheses are always kept.
 
     Examples:
         >>> CrownConv3d(64, 32)

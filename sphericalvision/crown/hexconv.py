@@ -146,23 +146,10 @@ def hex_conv3d(
     stride: int = 1,
     north: Float[Tensor, " V_north"] | None = None,
 ) -> Float[Tensor, "B C_out N V_out"]:
-    """Convolve volumes on an icosphere with seven taps at three neighbouring hypotheses.
+    """Convolve volumes on an icosphere with seven taps at three neighbouring hypotheses; all N hypotheses are kept.
 
-    Before the first and after the last hypothesis these are repeated.
-
-    Args:
-        values: ``(B, in, N, V)``; the level follows from V.
-        weight: ``(out, in, 21)``, index ``7 * depth + tap``.
-        bias: ``(out,)``.
-        stride: 1, or 2 to keep the vertices of the next coarser level; all N hypotheses are kept.
-        north: ``north_fraction(level)`` of this level for taps aligned with north; without it they follow the charts.
-
-    Returns:
-        ``(B, out, N, V)``, or of the next coarser level.
-
-    Raises:
-        ShapeError: if values, weight or north do not fit.
-        ArgumentError: if the stride is neither 1 nor 2, or 2 at level 0.
+    As ``hex_conv2d``, from values ``(B, in, N, V)`` to ``(B, out, N, V)`` with the weight ``(out, in, 21)``, index
+    ``7 * depth + tap``. The first and the last hypothesis are repeated beyond the ends.
 
     Examples:
         >>> hex_conv3d(torch.ones(1, 4, 16, 42), torch.ones(8, 4, 21)).shape

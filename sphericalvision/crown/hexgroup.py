@@ -67,15 +67,8 @@ def hex_group_conv2d(
 ) -> Float[Tensor, "B C_out 6 V_out"]:
     """Convolve values in six orientations with kernels that turn in the plane and through the orientations.
 
-    Args:
-        values: ``(B, in, 6, V)``.
-        weight: ``(out, in, 6, 7)``: in orientation 0, what each orientation of the values contributes by each tap.
-        stride: 1, or 2 to keep the vertices of the next coarser level.
-        north: ``north_fraction(level)``, from which orientations are counted; without it they follow the charts.
-
-    Raises:
-        ShapeError: if values, weight or north do not fit.
-        ArgumentError: if the stride is neither 1 nor 2, or 2 at level 0.
+    As ``hex_lift_conv2d``, with values ``(B, in, 6, V)`` and the weight ``(out, in, 6, 7)``: in orientation 0, what
+    each orientation of the values contributes by each tap.
 
     Examples:
         >>> hex_group_conv2d(torch.ones(1, 4, 6, 162), torch.ones(8, 4, 6, 7), stride=2).shape
@@ -145,11 +138,7 @@ class HexLiftConv2d(_HexOriented):
 class HexGroupConv2d(_HexOriented):
     """A layer of a network in six orientations, ``(B, C, 6, V)`` to the same; see ``hex_group_conv2d``.
 
-    Args:
-        in_channels: channels of the values given, in six orientations each.
-        out_channels: channels of the values returned.
-        level: of the values given.
-        stride: 1, or 2 to keep the vertices of the next coarser level.
+    Arguments are those of ``HexLiftConv2d``.
 
     Examples:
         >>> HexGroupConv2d(8, 16, level=2)(torch.rand(2, 8, 6, 162)).shape

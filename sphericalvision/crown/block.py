@@ -86,11 +86,10 @@ class CrownConvNorm3d(_CrownConvNorm):
         self.relu = relu
 
 
-def convolve_twice(
-    given: Crown | Tensor,
-    first: _CrownConvNorm,
-    second: _CrownConvNorm | CrownConv2d | CrownConv3d,
-) -> Crown:
+Layer = _CrownConvNorm | CrownConv2d | CrownConv3d
+
+
+def convolve_twice(given: Crown | Tensor, first: _CrownConvNorm, second: Layer) -> Crown:
     """Apply two layers, the first with a ReLU, to a crown, or to that of values at vertices ``(B, C, [N,] V)``.
 
     The same as ``second(first(crown))``. Where operators are in use, neither the crown of values nor, while there are
@@ -100,15 +99,11 @@ def convolve_twice(
     return _convolve_twice(given, first, second)
 
 
-def _one_after_the_other(
-    given: Crown | Tensor, first: _CrownConvNorm, second: _CrownConvNorm | CrownConv2d | CrownConv3d
-) -> Crown:
+def _one_after_the_other(given: Crown | Tensor, first: _CrownConvNorm, second: Layer) -> Crown:
     return second(first(to_crown(given) if isinstance(given, Tensor) else given))  # type: ignore[no-any-return]
 
 
-def _without_what_lies_between(
-    given: Crown | Tensor, first: _CrownConvNorm, second: _CrownConvNorm | CrownConv2d | CrownConv3d
-) -> Crown:
+def _without_what_lies_between(given: Crown | Tensor, first: _CrownConvNorm, second: Layer) -> Crown:
     conv, norm = first.conv, first.norm
     after = second.conv if isinstance(second, _CrownConvNorm) else second
     if not first.relu or after.stride != 1 or after.weight.shape[1] != conv.weight.shape[0]:

@@ -48,6 +48,7 @@ def hexagons2d(
     north: Float[Tensor, " V"] | None,
     rectify: bool = False,
     residual: Float[Tensor, "B C_out V_out"] | None = None,
+    *,
     own: Own = convolve_own,
 ) -> Float[Tensor, "B C_out V_out"]:
     """Convolve values as ``hex_conv2d`` does; ``own`` computes what charts own."""
@@ -66,6 +67,7 @@ def hexagons3d(
     bias: Float[Tensor, " C_out"] | None,
     stride: int,
     north: Float[Tensor, " V"] | None,
+    *,
     own: Own = convolve_own,
 ) -> Float[Tensor, "B C_out N V_out"]:
     """Convolve volumes as ``hex_conv3d`` does; ``own`` computes what charts own."""

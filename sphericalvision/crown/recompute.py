@@ -46,7 +46,6 @@ class RecomputedModule(nn.Module):
         run = super().__call__
         if not (self.recompute and self.training and torch.is_grad_enabled()):
             return run(*inputs)
-
         return _checkpointed(run, self, *inputs)
 
 

@@ -25,19 +25,6 @@ COL_TAPS: Taps = ((7, 5, 4), (0, 6, 3), (1, 2, 7))
 ROW_TAPS: Taps = ((7, 0, 5), (1, 6, 4), (2, 3, 7))
 
 
-def check_hexagon(stride: int, kernel_size: object = None) -> None:
-    """Raise ``ArgumentError`` for a stride, or a size of a kernel, that hexagonal convolutions do not have.
-
-    Examples:
-        >>> check_hexagon(2)
-    """
-    hint = "a kernel is a vertex and its neighbours, and has no size; further layers look further"
-    if kernel_size is not None:
-        raise ArgumentError(f"kernel_size: expected none, got {kernel_size!r}; {hint}")
-    if stride not in (1, 2):
-        raise ArgumentError(f"stride: expected 1 or 2, got {stride!r}; {hint}")
-
-
 def check_stride(stride: int, level: int) -> None:
     """Raise ``ArgumentError`` unless a stride leads from a level to one that there is."""
     if stride not in (1, 2) or (stride == 2 and level == 0):
@@ -60,7 +47,11 @@ class HexagonWeights(nn.Module):
     ) -> None:
         super().__init__()
         check_counts(in_channels=in_channels, out_channels=out_channels)
-        check_hexagon(stride, kernel_size)
+        hint = "a kernel is a vertex and its neighbours, and has no size; further layers look further"
+        if kernel_size is not None:
+            raise ArgumentError(f"kernel_size: expected none, got {kernel_size!r}; {hint}")
+        if stride not in (1, 2):
+            raise ArgumentError(f"stride: expected 1 or 2, got {stride!r}; {hint}")
         self.stride = stride
         self.weight = nn.Parameter(torch.empty(out_channels, in_channels, self.taps))
         self.bias = nn.Parameter(torch.empty(out_channels)) if bias else None

@@ -68,7 +68,7 @@ def convolution(
         batch, height, width = 5 * batch, *places.shape[1:]
     result = values.new_empty(batch, depth, height - 2 * border, width - 2 * border, len(weight))
     shift = bias if bias is None else bias.contiguous()
-    _operators().hex_convolve(
+    torch.ops.sphericalvision.hex_convolve(
         volumes, weight.contiguous(), _TAPS[across], shift, relu, int(border), result, places, *scaling
     )
     return result
@@ -91,12 +91,12 @@ def convolution_gradients(
     gradients: list[Tensor | None] = [None] * 4
     if needs_grad[0]:
         gradients[0] = by_values = values.new_zeros(values.shape)
-        _operators().hex_convolve_backward_given(
+        torch.ops.sphericalvision.hex_convolve_backward_given(
             gradient, weight.contiguous(), _TAPS[across], int(border), _volumes(by_values, places), places
         )
     if needs_grad[1]:
         gradients[1] = by_weight = torch.empty_like(weight, memory_format=torch.contiguous_format)
-        _operators().hex_convolve_backward_weight(
+        torch.ops.sphericalvision.hex_convolve_backward_weight(
             volumes, gradient, _TAPS[across], int(border), by_weight, places, *scaling
         )
     if needs_grad[2]:
@@ -137,10 +137,6 @@ def vertices_at_places(level: int) -> tuple[Tensor, Tensor]:
     n = 2**level
     col, row = place_ids(level, torch.device("cpu")).int().split(5)
     return col.view(5, 2 * n + 1, n + 1), row.view(5, n + 1, 2 * n + 1)
-
-
-def _operators() -> Any:
-    return torch.ops.sphericalvision
 
 
 def _volumes(values: Tensor, places: Tensor | None = None) -> Tensor:

@@ -7,6 +7,8 @@ can be.
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -106,28 +108,18 @@ def convolve_vertices(
     return col, row
 
 
-def hexagons2d(
-    values: Tensor,
-    weight: Tensor,
-    bias: Tensor | None,
-    stride: int,
-    north: Tensor | None,
-    rectify: bool = False,
-    residual: Tensor | None = None,
-) -> Tensor:
+def hexagons2d(values: Tensor, weight: Tensor, bias: Tensor | None, stride: int, *others: Any) -> Tensor:
     """Convolve values as ``hexagons.hexagons2d`` does, without making charts."""
     if stride != 1 or not _operators_fit(values, weight):
         return NotImplemented
-    return hexagons.hexagons2d(values, weight, bias, stride, north, rectify, residual, _convolve_own)
+    return hexagons.hexagons2d(values, weight, bias, stride, *others, own=_convolve_own)
 
 
-def hexagons3d(
-    values: Tensor, weight: Tensor, bias: Tensor | None, stride: int, north: Tensor | None
-) -> Tensor:
+def hexagons3d(values: Tensor, weight: Tensor, bias: Tensor | None, stride: int, *others: Any) -> Tensor:
     """Convolve volumes as ``hexagons.hexagons3d`` does, without making charts."""
     if stride != 1 or not _operators_fit(values, weight):
         return NotImplemented
-    return hexagons.hexagons3d(values, weight, bias, stride, north, _convolve_own)
+    return hexagons.hexagons3d(values, weight, bias, stride, *others, own=_convolve_own)
 
 
 def _convolve_own(values: Tensor, weight: Tensor, bias: Tensor | None, stride: int) -> Tensor:

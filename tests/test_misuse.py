@@ -533,7 +533,7 @@ save_weights(net(), 'net.pth') -> path: Argument
 save_weights(net(), 'net.safetensors', bits=12) -> bits: Argument
 ConstantDepth(3, 8, 0.5).fit(torch.ones(1, 1), torch.zeros(1, 1) > 0) -> inverse_depth: Argument
 IcoSweepNet(3, feature_coarsening=3) -> coarsening: Argument
-IcoSweepNet(3, volume_channels=0) -> feature_channels, volume_channels: Argument
+IcoSweepNet(3, volume_channels=0) -> volume_channels: Argument
 IcoSweepNet(3, aggregation='median') -> aggregation: Argument
 IcoSweepNet(30) -> level: Argument
 IcoSweepNet(1) -> level: Argument
@@ -549,11 +549,11 @@ OmniMVS(15) -> num_hypotheses: Argument
 OmniMVS(8, in_channels=2) -> in_channels: Argument
 OmniMVS(8, aggregation='sum') -> aggregation: Argument
 OmniMVS(8, norm='layer') -> norm: Argument
-OmniMVS(8, num_scales=0) -> feature_channels, num_scales: Argument
+OmniMVS(8, num_scales=0) -> num_scales: Argument
 RomniStereo(16, output_size=(15, 64)) -> output_size: Argument
 RomniStereo(14) -> num_hypotheses: Argument
 RomniStereo(17) -> num_hypotheses: Argument
-RomniStereo(16, iterations=0) -> feature_channels, iterations: Argument
+RomniStereo(16, iterations=0) -> iterations: Argument
 RomniStereo(16, in_channels=2) -> in_channels: Argument
 # metrics
 DepthIndexError(8).update(np.zeros((1, 3)), torch.zeros(1, 3)) -> pred_index: ArgumentType
@@ -578,7 +578,7 @@ omnimvs_error(torch.zeros(1, 8, 16), torch.zeros(1, 8)) -> target_inverse_depth:
 evaluation_mask(ring_rig(4), torch.tensor([[0.0, -1.0, 0.0]]), torch.zeros(1)) -> inverse_depth: Shape
 evaluation_mask(rig(), DIRECTIONS, torch.zeros(1, 1), least_cameras=0) -> least_cameras: Argument
 evaluation_mask(rig(), DIRECTIONS, torch.zeros(1, 1), torch.ones(2, 1)) -> valid: Shape
-OmniMVSError(min_depth=0.0) -> min_depth, num_hypotheses: Argument
+OmniMVSError(min_depth=0.0) -> min_depth: Argument
 OmniMVSError().update(torch.zeros(1, 8, 16), torch.zeros(1, 8, 16), weights=torch.ones(128)) -> weights: Argument
 ByRegion(DepthIndexError(8), {}) -> regions: Argument
 ByRegion(DepthIndexError(8), {'seam': torch.ones(3)}).update(torch.zeros(1, 4), torch.zeros(1, 4)) -> prediction: Shape

@@ -21,6 +21,7 @@ class MeanOverImages(Metric):
 
     full_state_update = False
     error_names: tuple[str, ...]
+    takes_weights = True
     sums: Tensor
     num_images: Tensor
 
@@ -31,9 +32,7 @@ class MeanOverImages(Metric):
         self.add_state("num_images", default=torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
 
     @abstractmethod
-    def _errors(
-        self, pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None
-    ) -> dict[str, Tensor]:
+    def _errors(self, pred: Tensor, target: Tensor, **options: Tensor | None) -> dict[str, Tensor]:
         """Return the errors of each image ``(B,)`` by name; NaN for an image that does not count."""
 
     def update(
@@ -44,7 +43,14 @@ class MeanOverImages(Metric):
         weights: Float[Tensor, "*grid"] | Float[Tensor, " B *grid"] | None = None,
     ) -> None:
         """Add a batch: ``(B, V)`` predictions and truth, an optional ``(B, V)`` mask and ``(V,)`` weights."""
-        errors = self._errors(pred, target, mask, weights)
+        options = {"mask": mask}
+        if weights is not None:
+            if not self.takes_weights:
+                raise ArgumentError(
+                    f"weights: {type(self).__name__} has none; all that counts counts the same"
+                )
+            options["weights"] = weights
+        errors = self._errors(pred, target, **options)
         table = torch.stack([errors[name] for name in self.error_names])
         counts = ~table.isnan().all(0)
         self.sums += table[:, counts].sum(1)
@@ -80,10 +86,8 @@ class DepthIndexError(MeanOverImages):
         check_counts(num_hypotheses=num_hypotheses)
         self.num_hypotheses = num_hypotheses
 
-    def _errors(
-        self, pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None
-    ) -> dict[str, Tensor]:
-        return depth_index_error(pred, target, self.num_hypotheses, mask, weights)
+    def _errors(self, pred: Tensor, target: Tensor, **options: Tensor | None) -> dict[str, Tensor]:
+        return depth_index_error(pred, target, self.num_hypotheses, **options)
 
 
 class DepthError(MeanOverImages):
@@ -109,10 +113,8 @@ class DepthError(MeanOverImages):
             raise ArgumentError(f"max_depth: expected a positive number of metres, got {max_depth!r}")
         self.max_depth = max_depth
 
-    def _errors(
-        self, pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None
-    ) -> dict[str, Tensor]:
-        return depth_error(pred, target, mask, weights, self.max_depth)
+    def _errors(self, pred: Tensor, target: Tensor, **options: Tensor | None) -> dict[str, Tensor]:
+        return depth_error(pred, target, max_depth=self.max_depth, **options)
 
 
 class OmniMVSError(MeanOverImages):
@@ -135,26 +137,20 @@ class OmniMVSError(MeanOverImages):
         {'>1': 100.0, '>3': 0.0, '>5': 0.0, 'MAE': 2.49, 'RMS': 2.49}
     """
 
-    error_names = (">1", ">3", ">5", "MAE", "RMS")
+    error_names = DepthIndexError.error_names
+    takes_weights = False
 
     def __init__(
         self, min_depth: float = 0.55, num_hypotheses: int = NUM_HYPOTHESES, **kwargs: object
     ) -> None:
         super().__init__(**kwargs)
-        if not min_depth > 0 or num_hypotheses < 1:
-            raise ArgumentError(
-                f"min_depth, num_hypotheses: expected positive numbers, got {min_depth!r} and {num_hypotheses!r}"
-            )
+        check_counts(num_hypotheses=num_hypotheses)
+        if not min_depth > 0:
+            raise ArgumentError(f"min_depth: expected a positive number of metres, got {min_depth!r}")
         self.min_depth, self.num_hypotheses = min_depth, num_hypotheses
 
-    def _errors(
-        self, pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None
-    ) -> dict[str, Tensor]:
-        if weights is not None:
-            raise ArgumentError(
-                "weights: the official protocol has none; every pixel of the band counts the same"
-            )
-        return omnimvs_error(pred, target, self.min_depth, mask, self.num_hypotheses)
+    def _errors(self, pred: Tensor, target: Tensor, **options: Tensor | None) -> dict[str, Tensor]:
+        return omnimvs_error(pred, target, self.min_depth, num_hypotheses=self.num_hypotheses, **options)
 
 
 class StereoError(MeanOverImages):
@@ -172,13 +168,12 @@ class StereoError(MeanOverImages):
 
     error_names = ("MAE", "RMSE", "MARE")
 
-    def _errors(
-        self, pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None
-    ) -> dict[str, Tensor]:
-        if weights is not None:
-            weights = weights.flatten(1) if weights.shape == pred.shape else weights.flatten()
-        mask = None if mask is None else mask.flatten(1)
-        return stereo_error(pred.flatten(1), target.flatten(1), mask, weights)
+    def _errors(self, pred: Tensor, target: Tensor, **options: Tensor | None) -> dict[str, Tensor]:
+        flat = {
+            name: None if values is None else values.flatten(1 if values.shape == pred.shape else 0)
+            for name, values in options.items()
+        }
+        return stereo_error(pred.flatten(1), target.flatten(1), **flat)
 
 
 class LeftRightError(MeanOverImages):
@@ -193,10 +188,7 @@ class LeftRightError(MeanOverImages):
     """
 
     error_names = ("LRCE",)
+    takes_weights = False
 
-    def _errors(
-        self, pred: Tensor, target: Tensor, mask: Tensor | None, weights: Tensor | None
-    ) -> dict[str, Tensor]:
-        if weights is not None:
-            raise ArgumentError("weights: LRCE has none; every row with truth at both edges counts the same")
-        return left_right_error(pred, target, mask)
+    def _errors(self, pred: Tensor, target: Tensor, **options: Tensor | None) -> dict[str, Tensor]:
+        return left_right_error(pred, target, **options)

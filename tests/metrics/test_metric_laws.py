@@ -260,7 +260,7 @@ def test_an_image_counts_unless_all_of_its_errors_are_nan() -> None:
     class Given(MeanOverImages):
         error_names = ("a", "b")
 
-        def _errors(self, pred: Tensor, *args: object) -> dict[str, Tensor]:
+        def _errors(self, pred: Tensor, target: Tensor, **options: object) -> dict[str, Tensor]:
             return {"a": pred[:, 0], "b": pred[:, 1]}
 
     metric = Given()

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Bool, Float, Num
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError, ShapeError, check_dtype
+from sphericalvision.core import ArgumentError, ShapeError, check_counts, check_dtype
 from sphericalvision.crown import set_kernel_options
 from sphericalvision.crown.recompute import recomputes
 from sphericalvision.icosphere import Icosphere, num_icosphere_vertices
@@ -47,10 +47,8 @@ class RemembersArguments(nn.Module):
         net = super().__new__(cls)
         try:
             bound = inspect.signature(cls.__init__).bind(net, *args, **kwargs)
-        except TypeError:
-            return (
-                net  # a copy is made without arguments and gets these with its state; or __init__ will raise
-            )
+        except TypeError:  # of a copy, which gets its arguments with its state; or __init__ will raise
+            return net
         bound.apply_defaults()
         arguments = dict(list(bound.arguments.items())[1:])
         for name, parameter in inspect.signature(cls.__init__).parameters.items():
@@ -168,8 +166,7 @@ class DepthNetwork(RemembersArguments):
     ) -> None:
         super().__init__()
         check_hypotheses(num_hypotheses, min_depth)
-        if isinstance(num_cameras, bool) or not isinstance(num_cameras, int) or num_cameras < 1:
-            raise ArgumentError(f"num_cameras: expected an integer of 1 or more, got {num_cameras!r}")
+        check_counts(num_cameras=num_cameras)
         self.num_hypotheses, self.min_depth = num_hypotheses, min_depth
         self.num_cameras, self.any_cameras = num_cameras, any_cameras
 

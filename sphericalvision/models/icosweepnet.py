@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, check_choice, check_counts
 from sphericalvision.crown import (
     Crown,
     CrownAvgPool2d,
@@ -107,11 +107,7 @@ class IcoSweepNet(DepthNetwork):
                 f"level: expected 2 or more (the result is two levels coarser), got {level!r}"
             )
         volume_channels = feature_channels if volume_channels is None else volume_channels
-        if min(feature_channels, volume_channels) < 1:
-            raise ArgumentError(
-                "feature_channels, volume_channels: expected positive numbers, "
-                f"got {feature_channels!r} and {volume_channels!r}"
-            )
+        check_counts(feature_channels=feature_channels, volume_channels=volume_channels)
         super().__init__(num_hypotheses, min_depth, num_cameras)
         self.level, self.grid = level, Icosphere(level - 2)
         self.features = FeatureExtractor(feature_channels, norm=norm, coarsening=feature_coarsening)
@@ -193,8 +189,7 @@ class FeatureExtractor(RecomputedModule):
         self, channels: int = 32, in_channels: int = 3, norm: str = "batch", coarsening: int = 2
     ) -> None:
         super().__init__()
-        if coarsening not in (1, 2):
-            raise ArgumentError(f"coarsening: expected 1 or 2 levels, got {coarsening!r}")
+        check_choice("coarsening", coarsening, (1, 2))
         self.coarsening = coarsening
         self.entry = CrownConvNorm2d(in_channels, channels, 2, norm, relu=True)
         self.second = CrownConvNorm2d(channels, channels, norm=norm, relu=True)

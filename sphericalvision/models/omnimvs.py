@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, short_repr
+from sphericalvision.core import ArgumentError, check_choice, check_counts, short_repr
 from sphericalvision.models.depth_network import DepthNetwork
 from sphericalvision.models.omnimvs_parts import CostHourglass, FisheyeFeatures, Transference
 from sphericalvision.models.weights.registry import register_network
@@ -97,13 +97,8 @@ class OmniMVS(DepthNetwork):
         num_scales: int = 4,
     ) -> None:
         super().__init__(num_hypotheses, min_depth, num_cameras)
-        if min(feature_channels, num_scales) < 1:
-            raise ArgumentError(
-                "feature_channels, num_scales: expected positive numbers, "
-                f"got {feature_channels!r} and {num_scales!r}"
-            )
-        if in_channels not in (1, 3):
-            raise ArgumentError(f"in_channels: expected 1 (grey) or 3 (colour), got {in_channels!r}")
+        check_counts(feature_channels=feature_channels, num_scales=num_scales)
+        check_choice("in_channels", in_channels, (1, 3))
         size = _checked_size(output_size, num_scales)
         if num_hypotheses % 2:
             raise ArgumentError(
@@ -187,8 +182,7 @@ def _checked_size(output_size: Sequence[int], num_scales: int) -> tuple[int, int
     # No width is a multiple of a power of two with more digits; the power of a number from a file may have no end.
     halved = whole and num_scales + 1 < sizes[1].bit_length() and sizes[1] % 2 ** (num_scales + 1) == 0
     if not halved or sizes[0] % 2:
-        is_small = isinstance(num_scales, int) and num_scales < 32
-        multiple = f"{2 ** (num_scales + 1)}" if is_small else "2 ** (num_scales + 1)"
+        multiple = f"{2 ** (num_scales + 1)}" if num_scales < 32 else "2 ** (num_scales + 1)"
         raise ArgumentError(
             f"output_size: expected an even height and a width in multiples of {multiple} with "
             f"num_scales={short_repr(num_scales)}, got {list(sizes)}; choose other sizes or another num_scales"

@@ -11,7 +11,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from sphericalvision.core import ArgumentError
+from sphericalvision.core import ArgumentError, check_choice, check_counts
 from sphericalvision.models.depth_network import DepthNetwork
 from sphericalvision.models.omnimvs_parts import FisheyeFeatures, ImageConv
 from sphericalvision.models.weights.registry import register_network
@@ -93,12 +93,8 @@ class RomniStereo(DepthNetwork):
                 f"num_hypotheses: expected an even number of {fewest} or more, as every second sphere is swept and "
                 f"{PYRAMID} scales halve these, got {num_hypotheses}"
             )
-        if min(feature_channels, iterations) < 1:
-            raise ArgumentError(
-                f"feature_channels, iterations: expected positive numbers, got {feature_channels!r} and {iterations!r}"
-            )
-        if in_channels not in (1, 3):
-            raise ArgumentError(f"in_channels: expected 1 (grey) or 3 (colour), got {in_channels!r}")
+        check_counts(feature_channels=feature_channels, iterations=iterations)
+        check_choice("in_channels", in_channels, (1, 3))
         self.in_channels, self.iterations = in_channels, iterations
         self.image_channels = (1, 3) if in_channels == 1 else (3,)
         self.grid = Equirectangular.with_square_pixels(*sizes)
@@ -199,20 +195,12 @@ class RomniStereo(DepthNetwork):
 class AlignedSweep(PanoramaSweep):
     """A sweep whose places are counted from the first pixel centre of the image, -1, to the last one, 1."""
 
-    OUT_OF_VIEW = -2.0
+    align_corners, outside = True, -2.0
 
     def _normalized(self, pixels: Tensor, seen: Tensor, image_size: tuple[int, int]) -> Tensor:
         last = pixels.new_tensor([image_size[1] - 1, image_size[0] - 1])
         coordinates = torch.minimum(pixels.clamp(min=0), last)
-        return torch.where(seen.unsqueeze(-1), 2 * coordinates / last - 1, self.OUT_OF_VIEW)
-
-    def camera_values(
-        self, features: Float[Tensor, "B C h_f w_f"], tables: PanoramaTables, camera: int
-    ) -> Float[Tensor, "B C D h w"]:
-        grid = tables.grid[..., camera, :, :, :, :].to(features.dtype)
-        coordinates = grid.flatten(-4, -3).expand(len(features), -1, -1, 2)
-        values = F.grid_sample(features, coordinates, padding_mode="zeros", align_corners=True)
-        return values.unflatten(2, grid.shape[-4:-2])
+        return torch.where(seen.unsqueeze(-1), 2 * coordinates / last - 1, self.outside)
 
 
 class Mixing(nn.Module):

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -17,9 +17,6 @@ from sphericalvision.geometry.lookup import PlacesInSinglePrecision
 from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hypotheses
-
-OUTSIDE = -3.0
-"""Where the grids point out of view: so far off the image that nothing but zeros is there."""
 
 
 class PanoramaTables(NamedTuple):
@@ -97,6 +94,8 @@ class PanoramaSweep(PlacesInSinglePrecision):
 
     directions: Tensor
     inverse_depths: Tensor
+    align_corners: ClassVar[bool] = False
+    outside: ClassVar[float] = -3.0  # the place of what is out of view: so far off the image that all is 0
 
     def __init__(
         self,
@@ -160,18 +159,16 @@ class PanoramaSweep(PlacesInSinglePrecision):
         height, width = map_size(image_size, self.stride)
         size = pixels.new_tensor([width, height])
         coordinates = torch.minimum((pixels / self.stride).clamp(min=0), size - 1)
-        return torch.where(seen.unsqueeze(-1), (2 * coordinates + 1) / size - 1, OUTSIDE)
+        return torch.where(seen.unsqueeze(-1), (2 * coordinates + 1) / size - 1, self.outside)
 
     def camera_values(
         self, features: Float[Tensor, "B C h_f w_f"], tables: PanoramaTables, camera: int
     ) -> Float[Tensor, "B C D h w"]:
         """Values ``(B, C, D, h, w)`` of the maps ``(B, C, h_f, w_f)`` of one camera; zero out of view."""
-        grid = tables.grid[..., camera, :, :, :, :]
-        spheres, rows, columns = grid.shape[-4:-1]
-        coordinates = grid.to(features.dtype).reshape(-1, spheres * rows, columns, 2)
-        coordinates = coordinates.expand(len(features), *coordinates.shape[1:])
-        values = F.grid_sample(features, coordinates, padding_mode="zeros", align_corners=False)
-        return values.unflatten(2, (spheres, rows))
+        grid = tables.grid[..., camera, :, :, :, :].to(features.dtype)
+        coordinates = grid.flatten(-4, -3).expand(len(features), -1, -1, 2)
+        values = F.grid_sample(features, coordinates, align_corners=self.align_corners)
+        return values.unflatten(2, grid.shape[-4:-2])
 
     def forward(
         self, features: Float[Tensor, "B n C h_f w_f"], rig: CameraRig | PanoramaTables

@@ -11,6 +11,9 @@ import torch
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, ShapeError, check_type
 
+Sample = dict[str, Any]
+"""Entries by name: images, rig, truth and so on."""
+
 
 def collate_samples(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Make a batch of samples: tensors (also in dicts) are stacked, rigs become one batched rig.

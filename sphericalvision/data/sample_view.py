@@ -5,18 +5,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError
 from sphericalvision.data.augmentation.transforms import ToSphere
+from sphericalvision.data.collate import Sample
 from sphericalvision.data.omnistereo.ground_truth import check_panorama_size
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.sphere.intake import Intake
-
-Sample = dict[str, Any]
 
 
 @dataclass(frozen=True)

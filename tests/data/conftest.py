@@ -4,14 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import pytest
 
 from sphericalvision.cameras import CameraRig, ring_rig
+from sphericalvision.data.collate import Sample
 from tests.worlds import frames_of_noise
-
-Sample = dict[str, Any]
 
 
 @pytest.fixture

@@ -8,7 +8,6 @@ import re
 import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -20,11 +19,11 @@ from torch.utils.data import DataLoader
 from sphericalvision.cameras import CameraRig, read_rig, ring_rig
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, ShapeError
 from sphericalvision.data import OmniStereoDataset, collate_samples, write_omnistereo
+from sphericalvision.data.collate import Sample
 from sphericalvision.data.omnistereo import writer
 from sphericalvision.scenes.random_rigs import random_rig
 from tests.worlds import frames_of_noise
 
-Sample = dict[str, Any]
 Frames = Callable[..., list[Sample]]
 
 

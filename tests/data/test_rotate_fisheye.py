@@ -12,11 +12,11 @@ import torch
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.data import Compose, OmniStereoDataset, RotateFisheye, ToSphere, write_omnistereo
+from sphericalvision.data.collate import Sample
 from sphericalvision.scenes import make_scene, render_rig
 from tests.worlds import frames_of_noise
 
 TILT = math.radians(35)
-Sample = dict[str, Any]
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 import pickle
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -16,12 +15,11 @@ import torch
 from sphericalvision.cameras import CameraRig, EquirectangularCamera, read_rig, ring_rig, sample_sphere
 from sphericalvision.data.augmentation.photometric import PhotometricAugmentation
 from sphericalvision.data.augmentation.transforms import RandomShift, ToSphere
+from sphericalvision.data.collate import Sample
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Equirectangular
 from tests.values import weighted_sum
 from tests.worlds import frames_of_noise
-
-Sample = dict[str, Any]
 
 
 def with_truth(rig: CameraRig, **size: int) -> Sample:

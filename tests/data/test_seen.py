@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
@@ -28,13 +27,13 @@ from sphericalvision.data import (
     write_omnistereo,
 )
 from sphericalvision.data.augmentation.sphere_rotation import rotate_on_sphere
+from sphericalvision.data.collate import Sample
 from sphericalvision.data.sample_view import ToView
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere.intake import pixels_seen
 from tests.worlds import scenes
 
 LEVEL = 4
-Sample = dict[str, Any]
 
 
 @pytest.fixture

@@ -4,17 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
+from sphericalvision.data.collate import Sample
 from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere.intake import signed, unsigned
-
-Sample = dict[str, Any]
 
 SEEN = {"images": "seen", "fisheye": "fisheye_seen"}
 """Entries with colours, and the entries that say what of them was seen."""

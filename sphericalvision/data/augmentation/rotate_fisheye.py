@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from jaxtyping import Float
 from torch import Tensor
@@ -12,10 +11,9 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig, Remap
 from sphericalvision.cameras.rig import check_images_of
 from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.data.collate import Sample
 from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere.intake import pixels_seen
-
-Sample = dict[str, Any]
 
 
 class RotateFisheye:

@@ -248,8 +248,7 @@ class RandomYaw(_SphereAugmentation):
         generator: source of randomness; torch's global one when not given.
 
     Raises:
-        ArgumentError: if an argument is out of range, or the grid has no exact turns.
-        ShapeError: if an entry does not lie on the grid; the message names it.
+        ArgumentError: the grid has no exact turns.
 
     Examples:
         >>> from sphericalvision.sphere import Equirectangular

@@ -12,14 +12,13 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import ArgumentError, ArgumentTypeError
+from sphericalvision.data.collate import Sample
 from sphericalvision.data.omnistereo.ground_truth import check_panorama_size
 from sphericalvision.geometry.directions import holds
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sphere.intake import Intake
-
-Sample = dict[str, Any]
 
 FARTHEST = 3.0
 """On average from 0, of values in [-1, 1]: no noise brings them there, and floats up to 255 are farther."""

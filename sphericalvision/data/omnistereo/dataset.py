@@ -12,6 +12,7 @@ from torch.utils.data import Dataset
 
 from sphericalvision.cameras import CameraRig, read_rig
 from sphericalvision.core import ArgumentError, MissingFileError, check_choice
+from sphericalvision.data.collate import Sample
 from sphericalvision.data.omnistereo.ground_truth import read_ground_truth
 from sphericalvision.data.omnistereo.releases import (
     DESCRIBED_AT,
@@ -23,8 +24,6 @@ from sphericalvision.data.omnistereo.releases import (
 )
 from sphericalvision.io.images import read_image
 from sphericalvision.sphere.intake import pixels_seen
-
-Sample = dict[str, Any]
 
 
 class OmniStereoDataset(Dataset[Sample]):

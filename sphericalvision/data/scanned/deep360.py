@@ -44,10 +44,7 @@ class Deep360Dataset(ScannedFrames):
     and goes the same way: what camera 1 sees, as seen from the rig's centre.
 
     Args:
-        root: folder of the set.
         split: "train", "val" or "test".
-        height: rows of the panorama of truth.
-        transform: of each sample.
 
     Raises:
         FileFormatError: pictures that are not twice as high as wide.

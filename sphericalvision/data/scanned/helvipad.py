@@ -71,10 +71,7 @@ class HelvipadDataset(ScannedFrames):
     set want, are the entries ``strip_depth`` and ``strip_depth_augmented``, 0 where unknown.
 
     Args:
-        root: folder of the set.
         split: "train", "val" or "test".
-        height: rows of the panorama of truth around the rig's centre.
-        transform: of each sample.
         augmented: learn from the augmented maps of depth, which are denser, and interpolated.
 
     References:

@@ -40,8 +40,6 @@ class Kitti360Dataset(ScannedFrames):
         sequences: names such as ``2013_05_28_drive_0000_sync``.
         window: poses of a window.
         spacing: metres between them.
-        height: rows of the panorama of truth.
-        transform: of each sample.
 
     References:
         Y. Liao, J. Xie, A. Geiger, "KITTI-360", PAMI 45 (2023).

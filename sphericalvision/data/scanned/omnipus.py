@@ -34,10 +34,7 @@ class OmniPusDataset(ScannedFrames):
     ``resize_cam%d/%06d.png`` and ``omnidepth_gt/%06d.tiff``, inverse depth in 1/m around the rig's centre.
 
     Args:
-        root: folder of the set.
         split: "train" or "test".
-        height: rows of the panorama of truth.
-        transform: of each sample.
         latitude: radians of the upper edge of the truth above the horizon; 45° unless given, as pixels are square then.
 
     Raises:

@@ -30,8 +30,6 @@ class OwnScans(ScannedFrames):
         rig: of the cameras.
         folder: of the scans, in files that ``read_points`` reads.
         rig_from_scanner: ``(4, 4)`` takes points of the scanner to the rig's world.
-        height: rows of the panorama of truth.
-        transform: of each sample.
         tolerance: seconds.
         columns: numbers of a point in ``.bin`` files, as in ``read_points``.
 

@@ -16,6 +16,7 @@ from torch.utils.data import Dataset
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import FileFormatError, MissingFileError
+from sphericalvision.data.collate import Sample
 from sphericalvision.data.truth import truth_from_points
 from sphericalvision.io.images import read_image, read_pages
 from sphericalvision.sphere import Equirectangular
@@ -24,19 +25,17 @@ from sphericalvision.sphere.intake import pixels_seen
 NOISE = 0.02
 """Metres: standard deviation of a LiDAR's distances, as those of these sets are specified."""
 
-Sample = dict[str, Any]
-
 
 class ScannedFrames(Dataset[Sample]):
     """Frames with images of a rig and scanned points; the truth is what is seen of the points from the rig's centre.
 
     Samples are those of ``OmniStereoDataset``, with the truth on a panorama of the whole sphere. A layout is a
     subclass that finds ``names`` and ``images``, and tells the ``points`` of a frame and, where it is not the same for
-    all, its ``rig``.
+    all, its ``rig``. All of them take these arguments, and some of their own.
 
     Args:
         root: folder of the set.
-        height: rows of the panorama of truth; it has twice as many columns.
+        height: rows of the panorama of truth around the rig's centre; it has twice as many columns.
         transform: callable that gets each sample and returns what the data set shall return.
 
     Attributes:

@@ -32,10 +32,7 @@ class SpiresDataset(ScannedFrames):
     frame of the LiDAR.
 
     Args:
-        root: folder of the set.
         sequences: names of folders in ``sequences``.
-        height: rows of the panorama of truth.
-        transform: of each sample.
         tolerance: seconds between images and cloud, at most; others are left out and counted.
 
     References:

@@ -38,10 +38,7 @@ class WideDepthDataset(ScannedFrames):
     millimetres, 0 where unknown; scenes are called like ``001_057_000``.
 
     Args:
-        root: folder of the set.
         scenes: names of some of them; all when not given.
-        height: rows of the panorama of truth.
-        transform: of each sample.
         field_of_view: degrees from the left to the right edge: 120, 140, 165 or 195.
         baseline: millimetres: 20, 65, 120, 200 or 300.
         stereo: which cameras: ``"horizontal"``, center and right, ``"vertical"``, center and down, or ``"both"``.

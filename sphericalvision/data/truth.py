@@ -249,9 +249,7 @@ def _depth_of_planes(
         tree: of ``around``.
         around: ``(n, 3)``, rays of all points that may be neighbours.
         far: ``(n,)``, their distances.
-        gap: as of ``truth_from_points``, like the rest.
-        tolerance: so is this.
-        noise: so is this.
+        gap: as of ``truth_from_points``; so are tolerance and noise.
     """
     angles, ids = tree.query(middles.numpy(), k=min(NEIGHBOURS, len(around)), distance_upper_bound=gap)
     angles, ids = (torch.from_numpy(array).reshape(len(rays), -1) for array in (angles, ids))

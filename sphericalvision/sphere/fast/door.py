@@ -28,16 +28,8 @@ def conv_in_rows(
     groups: int,
     taps_of: Callable[..., Tensor],
 ) -> Float[Tensor, "B C_out H_out W_out"]:
-    """Convolve panoramas ``(B, in, H, W)`` by sums of rows; ``NotImplemented`` where that does not pay.
-
-    Args:
-        images: full panoramas.
-        weight: ``(out, in / groups, kernel height, kernel width)``.
-        bias: ``(out,)``.
-        stride: of the centres, vertical and horizontal.
-        dilation: of the taps.
-        groups: of channels that are convolved apart.
-        taps_of: ``sphere_taps``, or a function of the same arguments.
+    """Convolve panoramas by sums of rows, with the arguments of ``sphere_conv2d``, and ``sphere_taps`` or one like it;
+    ``NotImplemented`` where that does not pay.
     """
     if not _pays(images, weight, stride):
         return NotImplemented

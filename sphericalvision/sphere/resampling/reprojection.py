@@ -53,11 +53,7 @@ def distances_from(
 def _intersect(camera: Camera, layers: Tensor, start: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
     """Distance along rays (n, 3) to the surface of one image, and the weight there, 0 where they meet none.
 
-    Args:
-        camera: that has seen the surface.
-        layers: (3, h, w), inverse depth, where it is valid, and weights; each times where it is valid.
-        start: (3,) of the rays, in the camera's frame.
-        rays: in the camera's frame, too.
+    The layers (3, h, w) are inverse depth, where it is valid, and weights, each times where it is valid.
     """
 
     def at(directions: Tensor) -> tuple[Tensor, Tensor]:

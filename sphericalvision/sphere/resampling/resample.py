@@ -93,13 +93,9 @@ class Resample(LookupModule):
     The tables are buffers that move with the module and are not saved. They have no gradients with respect to rotation
     or intrinsics; use ``resample`` for these. ``mask()`` returns where results are valid.
 
+    Arguments are those of ``resample``, ``mask`` being that of every call, and these:
+
     Args:
-        source: where values are given.
-        target: where they are wanted.
-        rotation: ``(3, 3)`` or ``(*b, 3, 3)``, target_from_source.
-        mode: ``"bilinear"``, ``"nearest"`` or ``"area"``.
-        fill: value where nothing is seen.
-        mask: ``(*b, *source_shape)``, usable values of every call.
         dtype: of the tables; by default that of the grids' directions and the cameras' intrinsics.
         device: of the tables; by default the source's.
 

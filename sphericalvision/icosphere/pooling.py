@@ -46,7 +46,7 @@ def icosphere_pool(values: Num[Tensor, "*batch V"], mode: str = "mean") -> Num[T
     check_choice("mode", mode, POOL_MODES)
     level = level_from_num_vertices(values.shape[-1])
     if mode == "max":
-        return _max(values, _pooled_ids(level, values.device))
+        return values[..., _pooled_ids(level, values.device)].amax(-1)
     return _weighted_mean(values, *_mean_table(level, values))
 
 
@@ -78,7 +78,7 @@ class IcospherePool(nn.Module):
     def forward(self, values: Num[Tensor, "*batch V"]) -> Num[Tensor, "*batch V_coarse"]:
         _check_level_of(values, self.level)
         if self.mode == "max":
-            return _max(values, self.ids)
+            return values[..., self.ids].amax(-1)
         return _weighted_mean(values, self.ids, self.weights)
 
     def extra_repr(self) -> str:
@@ -168,10 +168,6 @@ def _weighted_mean(values: Tensor, ids: Tensor, weights: Tensor) -> Tensor:
     for k in range(1, 7):  # one after the other: seven times the coarse values need not fit in memory at once
         result = result + values[..., ids[:, k]] * weights[:, k].to(values.dtype)
     return result
-
-
-def _max(values: Tensor, ids: Tensor) -> Tensor:
-    return values[..., ids].amax(-1)
 
 
 def _mean_of_parents(values: Tensor, parents: Tensor) -> Tensor:

@@ -202,8 +202,7 @@ def write_pages(path: str | Path, pages: list[Array]) -> None:
     for page in pages:
         if page.shape[2:] not in ((), (1,), (3,)) or page.ndim < 2:
             raise ShapeError(f"pages: expected (h, w) or RGB (h, w, 3), got {page.dtype} {page.shape}")
-    stored = [page[..., ::-1] if page.ndim == 3 else page for page in pages]
-    stored = [np.ascontiguousarray(page) for page in stored]
+    stored = [np.ascontiguousarray(page[..., ::-1] if page.ndim == 3 else page) for page in pages]
     try:
         if len(stored) == 1:
             ok, encoded = cv2.imencode(path.suffix, stored[0])

@@ -273,11 +273,10 @@ def _as_tensor(name: str, image: Any) -> Tensor:
         return values
     if bits is not None:
         return values / (2 ** int(bits) - 1)
-    if values.numel():
-        least, most = (float(value) for value in values.detach().aminmax())
-        if not (least >= -0.01 and most <= 1.01):  # also where one is NaN
-            raise ArgumentError(
-                f"images[{name!r}]: expected floats in [0, 1], got {least:g} to {most:g}; divide by the white value, "
-                "or give uint8 as it is"
-            )
+    least, most = (float(value) for value in values.detach().aminmax())
+    if not (least >= -0.01 and most <= 1.01):  # also where one is NaN
+        raise ArgumentError(
+            f"images[{name!r}]: expected floats in [0, 1], got {least:g} to {most:g}; divide by the white value, or "
+            "give uint8 as it is"
+        )
     return values

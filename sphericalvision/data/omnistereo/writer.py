@@ -228,12 +228,10 @@ def _alike(first: CameraRig, second: CameraRig, layout: Release) -> bool:
             return False
         if bool(((pixels - others)[seen & also].abs() > _SAME_PIXEL).any()):
             return False
-    masks = [{name: rig.masks.get(name) for name in rig.names} for rig in (first, second)]
-    same = (
-        a is b or (a is not None and b is not None and torch.equal(a, b))
-        for a, b in zip(*(m.values() for m in masks), strict=True)
-    )
-    return layout.name == "png" or all(same)
+    if layout.name == "png":  # which holds no masks
+        return True
+    masks = first.masks, second.masks
+    return masks[0].keys() == masks[1].keys() and all(torch.equal(masks[0][n], masks[1][n]) for n in masks[0])
 
 
 def _frames_in(root: Path, layout: Release) -> list[int]:

@@ -172,12 +172,8 @@ def sphere_taps(
             raise ArgumentError(f"{name}: expected positive integers, got {pair}")
     if rows % 2 == 0 or columns % 2 == 0 or min(kernel_size) < 1:
         raise ArgumentError(f"kernel_size: expected odd sizes, which have a centre, got {kernel_size}")
-    up = (torch.arange(rows, dtype=torch.float64, device=device) - rows // 2) * (
-        dilation[0] * math.pi / height
-    )
-    right = (torch.arange(columns, dtype=torch.float64, device=device) - columns // 2) * (
-        dilation[1] * 2 * math.pi / width
-    )
+    a, b = (torch.arange(size, dtype=torch.float64, device=device) - size // 2 for size in kernel_size)
+    up, right = a * (dilation[0] * math.pi / height), b * (dilation[1] * 2 * math.pi / width)
     if (rows // 2) * dilation[0] * 2 >= height or (columns // 2) * dilation[1] * 4 >= width:
         raise ArgumentError(
             f"kernel_size: {kernel_size} with dilation {dilation} reaches 90° from its centre in an image of "

@@ -73,7 +73,7 @@ class TangentImages(GridModule):
         self.margin = margin
         self.num_patches = 20 * 4 ** check_level(base_level)
         check_cells(self.num_patches * size**2, base_level=base_level, size=size)
-        reach = _corners_in_plane(base_level, torch.device("cpu"))[0].abs().max().item()
+        reach = _corners_in_plane(base_level, "cpu").abs().max().item()
         self.pixel_size = 2 * reach / (size - 1 - 2 * margin)
         self._make_directions(dtype, device)
 
@@ -97,7 +97,7 @@ class TangentImages(GridModule):
     @property
     def solid_angles(self) -> Float[Tensor, "patches size size"]:
         """Solid angle ``(patches, size, size)`` of each pixel's part inside its own face, in steradians."""
-        corners, _ = _corners_in_plane(self.base_level, self.directions.device)
+        corners = _corners_in_plane(self.base_level, self.directions.device)
         edges = torch.arange(self.size + 1, dtype=torch.float64, device=corners.device) - self.size / 2
         # Lines of pixels that run along an edge of a face are moved off it by a billionth of a pixel.
         edges = edges + 1e-9
@@ -176,12 +176,11 @@ def _frames(base_level: int, device: torch.device | str | None) -> Tensor:
     return torch.stack((torch.linalg.cross(down, forward), down, forward), -1)
 
 
-def _corners_in_plane(base_level: int, device: torch.device | str | None) -> tuple[Tensor, Tensor]:
-    """Corners of each face in its tangent plane (faces, 3, 2), and the frames (faces, 3, 3)."""
-    frames = _frames(base_level, device)
+def _corners_in_plane(base_level: int, device: torch.device | str | None) -> Tensor:
+    """Corners of each face in its tangent plane (faces, 3, 2)."""
     corners = icosphere_vertices(base_level, torch.float64, device)[icosphere_faces(base_level, device)]
-    local = corners @ frames
-    return local[..., :2] / local[..., 2:], frames
+    local = corners @ _frames(base_level, device)
+    return local[..., :2] / local[..., 2:]
 
 
 def _face_containing(directions: Tensor, level: int) -> Tensor:
@@ -229,16 +228,12 @@ def solid_angles_in_triangle(
         sides = (x - x_low[..., None], x_high[..., None] - x, y - y_low[..., None], y_high[..., None] - y)
         return torch.stack(sides, -1)
 
-    pixel_edges = _swept(box.expand(len(corners), -1, -1, -1, -1), to_lines)
-    return pixel_edges + _swept_between(a, b, to_sides(a), to_sides(b))
+    box = box.expand(len(corners), -1, -1, -1, -1)
+    pixel_edges = _swept(box, box.roll(-1, -2), to_lines, to_lines.roll(-1, -2))
+    return pixel_edges + _swept(a, b, to_sides(a), to_sides(b))
 
 
-def _swept(polygon: Tensor, inside: Tensor) -> Tensor:
-    """Solid angle swept by the edges of polygons (*, n, 2) where all distances (*, n, m) of their ends are positive."""
-    return _swept_between(polygon, polygon.roll(-1, -2), inside, inside.roll(-1, -2))
-
-
-def _swept_between(a: Tensor, b: Tensor, inside_a: Tensor, inside_b: Tensor) -> Tensor:
+def _swept(a: Tensor, b: Tensor, inside_a: Tensor, inside_b: Tensor) -> Tensor:
     """Sum over n of the solid angles that segments a to b (*, n, 2) sweep where they are inside of m lines."""
     change = inside_b - inside_a
     crossing = -inside_a / torch.where(change == 0, 1.0, change)

@@ -212,9 +212,8 @@ class Views:
         index = self.rig.names.index(name)
         camera, image = self.rig.cameras[name].to(self.images[index].device), self.images[index]
         target_from_camera = self.rig.world_from_camera[index, :3, :3].to(image.device)
-        target_from_camera = (
-            target_from_camera if rotation is None else rotation.to(target_from_camera) @ target_from_camera
-        )
+        if rotation is not None:
+            target_from_camera = rotation.to(target_from_camera) @ target_from_camera
         mask = self.rig.masks.get(name)
         usable = torch.ones(camera.image_size, dtype=torch.bool) if mask is None else mask
         usable = usable.to(image.device)

@@ -510,7 +510,6 @@ semi_global_smoothing(torch.zeros(1, 4, 42), 0.5, 0.1) -> small_penalty, large_p
 semi_global_smoothing(torch.zeros(1, 4, 42)[0], 0.1, 0.5) -> cost: Shape
 semi_global_smoothing(torch.zeros(1, 4, 42), 0.1, 0.5, torch.zeros(1, 3, 162)) -> guide: Shape
 semi_global_smoothing(torch.zeros(1, 4, 42), 0.1, 0.5, contrast=0.0) -> contrast: Argument
-semi_global_smoothing(torch.zeros(1, 4, 42), 0.1, 0.5, lead=5.0) -> lead: Argument
 inverse_depth_hypotheses(2.5, 0.5) -> num_hypotheses: Argument
 inverse_depth_hypotheses(8, 5e-324) -> min_depth: Argument
 inverse_depth_hypotheses(8, 1e10) -> min_depth: Argument

@@ -38,7 +38,7 @@ from sphericalvision.sweep.smoothing_triton import path_costs_kernel
 
 generator = torch.Generator().manual_seed(0)
 cost, guide = torch.rand(2, 5, 42, generator=generator), torch.rand(2, 3, 42, generator=generator)
-paths = smoothing_paths(1, 1.0, cost.device)
+paths = smoothing_paths(1, cost.device)
 for colors in (guide, None):
     with kernels("graph"):
         expected = semi_global_smoothing(cost, 0.3, 3.6, colors, 0.4)

@@ -28,7 +28,6 @@ def semi_global_smoothing(
     large_penalty: float,
     guide: Float[Tensor, "B C V"] | None = None,
     contrast: float = 0.1,
-    lead: float = 1.0,
 ) -> Float[Tensor, "B N V"]:
     """Add to the cost of each hypothesis what it takes to reach it along the straight lines through a vertex.
 
@@ -44,15 +43,13 @@ def semi_global_smoothing(
         guide: ``(B, C, V)`` colours: P2 is divided by ``1 + |change of colour| / contrast`` (but never below
             P1), because surfaces end where colours do.
         contrast: change of colour that halves P2, in the unit of the guide (mean over channels).
-        lead: vertices that a path passes before the first of its results, as multiples of an edge of the
-            icosahedron; lines run around the sphere in 5. Paths along such an edge start at its end.
 
     Returns:
         ``(B, N, V)`` in float32 at least; the best hypothesis is the smallest.
 
     Raises:
         ShapeError: if the cost is not on an icosphere or the guide does not fit.
-        ArgumentError: unless 0 <= P1 <= P2, the contrast is positive, and the lead 0 to 4.
+        ArgumentError: unless 0 <= P1 <= P2 and the contrast is positive.
 
     References:
         Hirschmüller (2008), "Stereo processing by semiglobal matching and mutual information", section 2.3.
@@ -71,7 +68,7 @@ def semi_global_smoothing(
         )
     if not contrast > 0:
         raise ArgumentError(f"contrast: expected a positive number, got {contrast}")
-    paths = smoothing_paths(level, lead, cost.device)
+    paths = smoothing_paths(level, cost.device)
     jumps = _jump_penalties(guide, paths, small_penalty, large_penalty, contrast)
     return _path_means(in_single_precision(cost), jumps, small_penalty, paths)
 
@@ -180,18 +177,16 @@ class SmoothingPaths(NamedTuple):
 
 
 @constant_table
-def smoothing_paths(level: int, lead: float, device: torch.device) -> SmoothingPaths:
+def smoothing_paths(level: int, device: torch.device) -> SmoothingPaths:
     """Return vertex ids along paths, step by step.
 
     Closed lines are cut into fifths where they cross certain edges of the icosahedron, which its rotations (72
-    degrees about the vertical among them) take to one another; so they do with the paths.
+    degrees about the vertical among them) take to one another; so they do with the paths. A path passes as many
+    vertices before the first of its results as there are along such an edge; one along an edge starts at its end.
     """
-    if not 0 <= lead <= 4:
-        raise ArgumentError(f"lead: expected 0 to 4 edges of the icosahedron, got {lead}")
     size = 2**level
-    lead_steps = round(lead * size)
     loops, edges = icosphere_lines(level, device)
-    columns = torch.arange(-lead_steps, size, device=device)[:, None] + torch.arange(5, device=device) * size
+    columns = torch.arange(-size, size, device=device)[:, None] + torch.arange(5, device=device) * size
     # Backwards, a fifth starts at the same edge of the icosahedron.
     fifths = torch.cat((loops[:, columns % (5 * size)], loops[:, -columns % (5 * size)]))
     kinds = fifths.transpose(0, 1).flatten(1), torch.cat((edges, edges.flip(1))).T

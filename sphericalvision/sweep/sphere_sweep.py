@@ -12,9 +12,10 @@ from torch import Tensor
 from sphericalvision.core import ShapeError
 from sphericalvision.geometry.lookup import PlacesInSinglePrecision, weighted_rows
 from sphericalvision.icosphere import icosphere_vertices, level_from_num_vertices, num_icosphere_vertices
-from sphericalvision.icosphere.topology import check_level, coarse_vertex_ids
+from sphericalvision.icosphere.topology import check_level
 from sphericalvision.shapes import check_shapes
 from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hypotheses
+from sphericalvision.sweep.ring_mean import ids_of_coarser_level
 from sphericalvision.sweep.sweep_tables import SweepTables, sweep_tables
 
 if TYPE_CHECKING:
@@ -180,13 +181,9 @@ class SphereSweep(PlacesInSinglePrecision):
                 f"{tables.ids.shape[-4]} at {tables.ids.shape[-3]}; those of another level or number of hypotheses "
                 "point elsewhere"
             )
-        return sphere_sweep(features, tables, None if seen is None else self._coarsened(seen))
-
-    def _coarsened(self, seen: Tensor) -> Tensor:
-        """``seen`` at the vertices that the features' icosphere and the finer one share."""
-        for level in range(level_from_num_vertices(seen.shape[-1]), self.feature_level, -1):
-            seen = seen[..., coarse_vertex_ids(level, seen.device)]
-        return seen
+        if seen is not None and (level := level_from_num_vertices(seen.shape[-1])) > self.feature_level:
+            seen = seen[..., ids_of_coarser_level(level, self.feature_level, seen.device)]
+        return sphere_sweep(features, tables, seen)
 
     def extra_repr(self) -> str:
         level = f"level={self.level}, feature_level={self.feature_level}"

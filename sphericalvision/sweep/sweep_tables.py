@@ -183,10 +183,7 @@ def _locate_seen(points: _Points, locator: TriangleLocator) -> tuple[SweepTables
     """
     tables, triangles = _empty_tables(points), []
     corners = F.pad(locator.faces, (0, 0, 1, 0))  # the first row is for what is not in view
-    for block in points.blocks(locator.chunk_size):
-        ids, weights, seen = (table[block] for table in tables)
-        rays = points.rays(*block)
-        _in_view(rays, points.axes[:, block[1]], points.limits[block[1]], out=seen)
+    for rays, ids, weights, seen in _blocks_in_view(points, tables, locator.chunk_size):
         in_view = seen.flatten().nonzero()[:, 0]
         found, shares = locator.find(read_entries(rays.flatten(1), in_view))
         rows = found.new_zeros(seen.numel()).index_copy_(0, in_view, found + 1)
@@ -201,10 +198,7 @@ def _locate_all(points: _Points, locator: TriangleLocator) -> tuple[SweepTables,
     """Locate all points, and leave out what is not in view: a device is not asked how many are."""
     tables, triangles = _empty_tables(points), []
     corners = F.pad(locator.faces, (0, 0, 1, 0))
-    for block in points.blocks(locator.chunk_size):
-        ids, weights, seen = (table[block] for table in tables)
-        rays = points.rays(*block)
-        _in_view(rays, points.axes[:, block[1]], points.limits[block[1]], out=seen)
+    for rays, ids, weights, seen in _blocks_in_view(points, tables, locator.chunk_size):
         found, shares = locator.find(rays.flatten(1))
         in_view = seen.flatten()
         torch.index_select(corners, 0, (found + 1) * in_view, out=ids.view(-1, 3))
@@ -236,9 +230,18 @@ def _limits(max_angles: Tensor) -> Tensor:
     return torch.where(max_angles >= math.pi, -2.0, limits)
 
 
-def _in_view(rays: Tensor, axes: Tensor, limits: Tensor, out: Tensor) -> None:
-    """Write to ``out`` which rays ``(3, h, v, n)`` are in view; one of zero length never is."""
-    x, y, z = rays
-    length = (x * x).addcmul_(y, y).addcmul_(z, z).sqrt_()
-    along = (axes[0] * x).addcmul_(axes[1], y).addcmul_(axes[2], z)
-    torch.gt(along, length.mul_(limits), out=out)
+def _blocks_in_view(
+    points: _Points, tables: SweepTables, size: int
+) -> Iterator[tuple[Tensor, Tensor, Tensor, Tensor]]:
+    """Rays ``(3, h, v, n)`` of each block of points, and its part of the tables.
+
+    ``seen`` is written before: which rays are in view; one of zero length never is.
+    """
+    for block in points.blocks(size):
+        ids, weights, seen = (table[block] for table in tables)
+        rays, axes, limits = points.rays(*block), points.axes[:, block[1]], points.limits[block[1]]
+        x, y, z = rays
+        length = (x * x).addcmul_(y, y).addcmul_(z, z).sqrt_()
+        along = (axes[0] * x).addcmul_(axes[1], y).addcmul_(axes[2], z)
+        torch.gt(along, length.mul_(limits), out=seen)
+        yield rays, ids, weights, seen

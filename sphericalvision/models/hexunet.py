@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import TypeVar
 
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -13,8 +12,6 @@ from torch import Tensor, nn
 from sphericalvision.core import ArgumentError
 from sphericalvision.crown import HexConv2d
 from sphericalvision.icosphere import icosphere_upsample
-
-Convolution = TypeVar("Convolution", HexConv2d, nn.Conv1d)
 
 
 class HexResidualBlock(nn.Module):
@@ -36,7 +33,7 @@ class HexResidualBlock(nn.Module):
 
     def __init__(self, channels: int) -> None:
         super().__init__()
-        self.first = _keeping_size(HexConv2d(channels, channels, bias=True))
+        self.first = _keeping_size(channels, channels)
         self.second = _at_zero(HexConv2d(channels, channels, bias=True))
 
     def forward(self, values: Float[Tensor, "B C V"]) -> Float[Tensor, "B C V"]:
@@ -73,9 +70,7 @@ class HexUNet(nn.Module):
             )
         steps = list(pairwise(widths))
         self.down = nn.ModuleList(_blocks(*level) for level in zip(widths, counts, strict=True))
-        self.coarsen = nn.ModuleList(
-            _keeping_size(HexConv2d(fine, coarse, 2, bias=True)) for fine, coarse in steps
-        )
+        self.coarsen = nn.ModuleList(_keeping_size(fine, coarse, stride=2) for fine, coarse in steps)
         # What the coarser levels say at random would be noise, and the first steps of a training would make it smaller.
         # From zero, values of these levels stay larger; a high learning rate silences them all the same.
         self.refine = nn.ModuleList(_at_zero(nn.Conv1d(coarse, fine, 1)) for fine, coarse in steps)
@@ -96,21 +91,18 @@ def _blocks(channels: int, count: int) -> nn.Sequential:
     return nn.Sequential(*(HexResidualBlock(channels) for _ in range(count)))
 
 
-def _keeping_size(convolution: HexConv2d) -> HexConv2d:
-    """A convolution that begins with rectified values as large as those that come in."""
+def _keeping_size(in_channels: int, out_channels: int, stride: int = 1) -> HexConv2d:
+    """A convolution whose rectified results begin as large as its inputs."""
     # Nothing is normalised: this alone keeps values their size from level to level. With weights as torch begins, those
     # of the coarsest of five levels are a thirtieth of the finest's, and hardly learn.
+    convolution = HexConv2d(in_channels, out_channels, stride, bias=True)
     nn.init.kaiming_normal_(convolution.weight, nonlinearity="relu")
-    return _without_bias(convolution)
+    nn.init.zeros_(convolution.bias)  # type: ignore[arg-type]
+    return convolution
 
 
-def _at_zero(convolution: Convolution) -> Convolution:
-    """A convolution that begins with nothing, and learns at once, since what comes in is not zero."""
-    nn.init.zeros_(convolution.weight)
-    return _without_bias(convolution)
-
-
-def _without_bias(convolution: Convolution) -> Convolution:
-    if convolution.bias is not None:
-        nn.init.zeros_(convolution.bias)
+def _at_zero(convolution: nn.Module) -> nn.Module:
+    """The convolution with weights of zero; it learns at once, since its inputs are not zero."""
+    for weights in convolution.parameters():
+        nn.init.zeros_(weights)
     return convolution

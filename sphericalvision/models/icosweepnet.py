@@ -56,9 +56,7 @@ class IcoSweepNet(DepthNetwork):
     changed after training, though a network is best at what it was trained for.
 
     Convention:
-        Images are in [-1, 1] and 0 outside the field of view and under masks, on icospheres aligned with the world
-        (``ToSphere``), in the order of ``rig.names``. The result is a hypothesis index seen from
-        ``rig.center``: 0 is infinity, N - 1 is ``min_depth``; ``depth`` turns it into metres along the ray.
+        As for ``DepthNetwork``; images, which ``ToSphere`` makes, are 0 outside the field of view and under masks.
 
     Args:
         level: of the icospheres that hold the images; the result is two levels coarser.

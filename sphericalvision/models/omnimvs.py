@@ -41,11 +41,9 @@ class OmniMVS(DepthNetwork):
     number of hypotheses, though a network is best at what it was trained for.
 
     Convention:
-        Images are in [-1, 1] and 0 outside the field of view and under masks, as the cameras took them, in the order of
-        ``rig.names``. The result is a hypothesis index at each pixel of ``net.grid``, a panorama aligned with the world
-        and seen from ``rig.center``: 0 is infinity, N - 1 is ``min_depth``; ``depth`` turns it into metres along the
-        ray. Pixel (2 i, 2 j) of an image, a sphere or the result is the centre of pixel (i, j) of a map of half the
-        size, everywhere in the network.
+        As for ``DepthNetwork``; images are 0 outside the field of view and under masks, and the result lies on
+        ``net.grid``, a panorama aligned with the world. Pixel (2 i, 2 j) of an image, a sphere or the result is the
+        centre of pixel (i, j) of a map of half the size, everywhere in the network.
 
     Args:
         num_hypotheses: N, an even number; every second sphere is swept, and the decoder scores all.

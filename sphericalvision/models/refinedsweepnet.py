@@ -435,7 +435,7 @@ class RefinedSweepNet(DepthNetwork):
         prior_level = self.coarse_level - 1
         ids = ids_of_coarser_level(self.coarse_level, prior_level, true.device)
         # The prior tries no hypotheses between the N.
-        entropy = _cross_entropy(clues.prior.float(), at_level(prior_level)[0] / 2)
+        entropy = -at_index(clues.prior.float().log_softmax(1), at_level(prior_level)[0] / 2)
         return total + PRIOR_SHARE * mean_of_samples(entropy, coarse_weights[:, ids])
 
 
@@ -480,11 +480,6 @@ def _edge_weights(true: Tensor, valid: Tensor) -> Tensor:
     highest = around.masked_fill(~known, -torch.inf).amax(-1)
     lowest = around.masked_fill(~known, torch.inf).amin(-1)
     return valid * (1 + EDGE_WEIGHT * (highest - lowest > 1))
-
-
-def _cross_entropy(logits: Tensor, index: Tensor) -> Tensor:
-    """``(B, V)`` of logits ``(B, 2 N - 1, V)`` and the two tried hypotheses around an index, in proportion."""
-    return -at_index(logits.log_softmax(1), index)
 
 
 def _loss_of_modes(logits: Tensor, index: Tensor) -> Tensor:

@@ -9,14 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.crown import (
-    Crown,
-    CrownBatchNorm3d,
-    crown_conv2d,
-    crown_conv3d,
-    from_crown,
-    to_crown,
-)
+from sphericalvision.crown import Crown, CrownBatchNorm3d, crown_conv2d, crown_conv3d, from_crown, to_crown
 from sphericalvision.icosphere import Icosphere
 
 TOLERANCE = {"rtol": 0, "atol": 1e-5}

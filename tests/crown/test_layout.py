@@ -8,12 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sphericalvision.crown import (
-    Crown,
-    crown_relu,
-    from_crown,
-    to_crown,
-)
+from sphericalvision.crown import Crown, crown_relu, from_crown, to_crown
 from sphericalvision.icosphere import icosphere_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.topology import chart_vertex_ids
 

@@ -22,11 +22,7 @@ from sphericalvision.icosphere.areas import icosphere_face_solid_angles
 
 @pytest.mark.parametrize("level", [0, 1, 3, 6])
 def test_all_areas_sum_to_the_sphere(level: int) -> None:
-    for function in (
-        icosphere_face_solid_angles,
-        icosphere_solid_angles,
-        icosphere_voronoi_solid_angles,
-    ):
+    for function in (icosphere_face_solid_angles, icosphere_solid_angles, icosphere_voronoi_solid_angles):
         areas = function(level, torch.float64)
         assert areas.min() > 0
         assert areas.sum().item() == pytest.approx(4 * math.pi, rel=1e-12)

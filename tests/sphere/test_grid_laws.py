@@ -13,12 +13,7 @@ from torch import Tensor
 from sphericalvision import sphere
 from sphericalvision.core import ArgumentError, ShapeError
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.sphere import (
-    Healpix,
-    SphereGrid,
-    resample,
-    resample_mask,
-)
+from sphericalvision.sphere import Healpix, SphereGrid, resample, resample_mask
 from sphericalvision.sphere.resampling.supersampling import cell_samples
 from tests.laws.grid_laws import DOUBLE, GRIDS, some_rotation, spread_directions
 from tests.laws.harmonics import harmonics

@@ -13,13 +13,7 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError
 from sphericalvision.geometry import longitude_latitude_from_directions
-from sphericalvision.sphere import (
-    Healpix,
-    healpix_pool,
-    healpix_upsample,
-    nested_from_ring,
-    ring_from_nested,
-)
+from sphericalvision.sphere import Healpix, healpix_pool, healpix_upsample, nested_from_ring, ring_from_nested
 from sphericalvision.sphere.grids.healpix_pixels import direction_of_place, place_from_ring
 from tests.laws.grid_laws import DOUBLE, spread_directions
 

@@ -11,12 +11,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from sphericalvision.kernels import kernels
-from sphericalvision.sphere import (
-    Equirectangular,
-    SphereConv2d,
-    equirectangular_pad,
-    sphere_conv2d,
-)
+from sphericalvision.sphere import Equirectangular, SphereConv2d, equirectangular_pad, sphere_conv2d
 from sphericalvision.sphere.fast import row_sums
 from tests.values import random_values
 

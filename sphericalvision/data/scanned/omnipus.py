@@ -57,9 +57,7 @@ class OmniPusDataset(ScannedFrames):
         poses = torch.stack([OURS_FROM_LIDAR @ pose for _, pose in calibrations])
         masks = {name: folder / f"{name}_mask.png" for name in cameras}
         self.fixed_rig = CameraRig(
-            cameras,
-            poses,
-            {n: read_mask(m, cameras[n].image_size) for n, m in masks.items() if m.is_file()},
+            cameras, poses, {n: read_mask(m, cameras[n].image_size) for n, m in masks.items() if m.is_file()}
         )
         self.truth = Equirectangular(*TRUTH_SIZE, max_latitude=latitude)
         cases = (

@@ -45,8 +45,7 @@ class PaddedConv2d(nn.Module):
 
 
 def make_seamless(
-    module: nn.Module,
-    pad: Callable[[tuple[int, int, int, int]], nn.Module] = EquirectangularPad2d,
+    module: nn.Module, pad: Callable[[tuple[int, int, int, int]], nn.Module] = EquirectangularPad2d
 ) -> nn.Module:
     """Replace the padding of every 2D convolution and pooling in a planar network.
 

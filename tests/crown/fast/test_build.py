@@ -122,10 +122,7 @@ def test_a_library_that_may_not_be_ours_is_made_anew(
 
 
 def test_compiling_begins_beside_the_work_once_it_pays(
-    cache: Path,
-    compiles: list[list[str]],
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
+    cache: Path, compiles: list[list[str]], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     now = [100.0]
     monkeypatch.setattr(build.time, "monotonic", lambda: now[0])

@@ -113,12 +113,6 @@ def test_upsampling_is_linear_interpolation(level: int, generator: torch.Generat
     assert torch.equal(finer[:, coarse.finer().coarse_ids], values)
 
 
-def test_the_largest_value_has_the_gradient_of_a_maximum(generator: torch.Generator) -> None:
-    values = torch.randn(2, 42, generator=generator, dtype=torch.float64, requires_grad=True)
-    (gradient,) = torch.autograd.grad(icosphere_pool(values, "max").sum(), values)
-    assert gradient.sum().item() == pytest.approx(2 * 12)
-
-
 def test_tables_of_modules_follow_and_are_not_saved() -> None:
     for module in (IcospherePool(2), IcosphereUpsample(2)):
         assert module.state_dict() == {}

@@ -114,7 +114,6 @@ def test_weights_are_convex(level: int, count: int) -> None:
 def test_gradients() -> None:
     directions = random_directions(20).requires_grad_()
     ico = Icosphere(2, dtype=torch.float64)
-    assert torch.autograd.gradcheck(lambda d: ico.locate(d)[1], (directions,))
     assert torch.autograd.gradgradcheck(lambda d: ico.locate(d)[1], (directions,))
     at_vertices = ico.vertices.clone().requires_grad_()
     ico.locate(at_vertices)[1].square().sum().backward()

@@ -57,9 +57,11 @@ def test_cells_know_the_triangle_in_their_middle(level: int) -> None:
 
 @pytest.mark.parametrize("level", [1, 6, 8])
 def test_as_many_steps_for_any_rays_end_in_their_triangles(level: int, generator: torch.Generator) -> None:
-    """At a level as fine as the last one, too, where there are fewer cells for a triangle."""
+    """At a level as fine as the last one, too, where there are fewer cells for a triangle; and at corners."""
     table = triangle_table(level, torch.float32, CPU)
-    rays = torch.randn(3, 300_000, generator=generator)
+    rays = torch.cat(
+        (torch.randn(3, 300_000, generator=generator), 3 * Icosphere(min(level, 4)).vertices.T), 1
+    )
     triangles, weights = find_in_few_steps(rays, table)
     shares = coefficients(rays, triangles, table)
     assert (shares.amin(0) >= -16 * 2**level * torch.finfo(torch.float32).eps * shares.sum(0)).all()

@@ -277,7 +277,7 @@ CALLS: dict[str, Callable[[], Any]] = {
     "icosphere_faces": lambda: icosphere.icosphere_faces(LEVEL, INPUTS[-1].device),
     "icosphere_neighbors": lambda: icosphere.icosphere_neighbors(LEVEL, INPUTS[-1].device),
     "icosphere_normals": lambda: icosphere.icosphere_normals(m(V, 3)),
-    "icosphere_pool": lambda: icosphere.icosphere_pool(values()),
+    "icosphere_pool": lambda: (icosphere.icosphere_pool(values()), icosphere.icosphere_pool(values(), "max")),
     "icosphere_solid_angles": lambda: icosphere.icosphere_solid_angles(LEVEL, device=INPUTS[-1].device),
     "icosphere_upsample": lambda: icosphere.icosphere_upsample(values()),
     "icosphere_vertices": lambda: icosphere.icosphere_vertices(LEVEL, device=INPUTS[-1].device),

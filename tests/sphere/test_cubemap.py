@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 import torch
 
@@ -65,37 +64,6 @@ def test_the_dice_has_no_breaks() -> None:
         assert not broken.any()
 
 
-def brute_force(image: np.ndarray, rays: np.ndarray) -> np.ndarray:
-    """Look every pixel up in a panorama with plain arithmetic, one by one."""
-    height, width = image.shape
-    result = np.empty(rays.shape[:2])
-    for row in range(rays.shape[0]):
-        for column in range(rays.shape[1]):
-            x, y, z = rays[row, column]
-            u = (math.atan2(x, z) + math.pi) * width / (2 * math.pi) - 0.5
-            v = (math.pi / 2 - math.asin(-y / math.sqrt(x * x + y * y + z * z))) * height / math.pi - 0.5
-            j, i = math.floor(v), math.floor(u)
-            value = 0.0
-            for dj, wj in ((0, 1 - (v - j)), (1, v - j)):
-                for di, wi in ((0, 1 - (u - i)), (1, u - i)):
-                    r, c = j + dj, i + di
-                    if r < 0 or r >= height:  # beyond the pole: the same row, half a turn further
-                        r, c = (-1 - r if r < 0 else 2 * height - 1 - r), c + width // 2
-                    value += wj * wi * image[r, c % width]
-            result[row, column] = value
-    return result
-
-
-def test_panorama_to_cube_agrees_with_brute_force() -> None:
-    image = torch.rand(16, 32, dtype=DOUBLE)
-    ours = resample(image[None], Equirectangular(16, 32), Cubemap(7))[0]
-    places = (2 * np.arange(7) - 6) / 7
-    rays = np.stack((*np.meshgrid(places, places), np.ones((7, 7))), -1)
-    for face, world_from_face in enumerate(world_from_cube_face(DOUBLE).numpy()):
-        expected = torch.from_numpy(brute_force(image.numpy(), rays @ world_from_face.T))
-        torch.testing.assert_close(ours[face], expected, rtol=0, atol=1e-10)
-
-
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_positions_are_right_to_a_thousandth_of_a_pixel(dtype: torch.dtype) -> None:
     """A panorama whose values are its own columns and rows tells where each result was read."""
@@ -115,4 +83,5 @@ def test_positions_are_right_to_a_thousandth_of_a_pixel(dtype: torch.dtype) -> N
         v = (0.5 - torch.asin(-y) / math.pi) * height - 0.5
         inside = (u > 0) & (u < width - 1) & (v > 0) & (v < height - 1)  # ramps end at the seam and the poles
         assert inside.double().mean() > 0.9
-        assert (found - torch.stack((u, v)))[:, inside].abs().max() < 1e-3
+        error = (found - torch.stack((u, v)))[:, inside].abs().max()
+        assert error < (1e-3 if dtype == torch.float32 else 1e-10)

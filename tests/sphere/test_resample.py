@@ -14,9 +14,13 @@ from sphericalvision.cameras import FisheyeCamera
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.sphere import Equirectangular, resample, resample_mask
 from tests.laws.grid_laws import UP, rotation_about
-from tests.sphere.test_equirectangular import smooth
 
 FISHEYE = FisheyeCamera.from_field_of_view((96, 128), math.radians(200))
+
+
+def smooth(d: torch.Tensor) -> torch.Tensor:
+    """A smooth function on the sphere, (*, 3) -> (*)."""
+    return torch.sin(2 * d[..., 0] + 0.5) * d[..., 1] + d[..., 2].square()
 
 
 def test_camera_onto_itself_is_the_identity_in_view() -> None:

@@ -32,7 +32,7 @@ from sphericalvision.tables import constant_table
 def chart_vertices(level: int, device: torch.device) -> Int[Tensor, "5 rows columns"]:
     """Return the vertices of the charts of ``hex_pad``, ``(5, 2n + 2, n + 2)``.
 
-    The corners that are nobody's neighbours have the vertex next to them.
+    The two corners without neighbours repeat the vertex next to them.
 
     Examples:
         >>> chart_vertices(0, torch.device("cpu"))[1]
@@ -133,7 +133,7 @@ def fill_charts(
 
     Args:
         charts: ``(B, 5, C, [N,] 2n, n)``.
-        special: ``(B, C, [N,] 12)``; these replace what the charts say.
+        special: ``(B, C, [N,] 12)``, in place of the values in the charts.
 
     Examples:
         >>> fill_charts(torch.zeros(1, 5, 1, 4, 2), torch.ones(1, 1, 12)).sum()

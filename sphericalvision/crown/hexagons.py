@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hexagonal convolutions in plain torch: charts with their true neighbours, then the twelve vertices of valence five.
 
-``hexconv`` says what taps and orientations are.
+See ``hexconv`` for taps and orientations.
 """
 
 from __future__ import annotations

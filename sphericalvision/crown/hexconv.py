@@ -160,7 +160,7 @@ def hex_conv3d(
 
 
 def _check_conv(values: Tensor, weight: Tensor, stride: int, north: Tensor | None) -> None:
-    """Raise unless a level, a type and a stride fit: what no annotation says."""
+    """Raise unless level, type, channels and stride fit, which annotations do not check."""
     level = level_from_num_vertices(values.shape[-1])
     check_dtype("values", values, weight)
     if weight.shape[1] != values.shape[1]:

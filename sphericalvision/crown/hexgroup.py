@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hexagonal convolutions in six orientations at once: what a network knows of one, it knows of all.
+"""Hexagonal convolutions in six orientations at once, equivariant to turns of 60°.
 
 A hexagonal lattice maps onto itself by turns of 60°, a square one by 90° only, and on an icosphere such a turn of the
-kernel takes no interpolation. ``HexLiftConv2d`` convolves with each kernel in six orientations, ``HexGroupConv2d`` what
-comes of that: its kernel has values for each orientation relative to its own, and turns as a whole. Values are
-``(B, C, 6, V)``. Where the picture is turned by 60°, values turn with it and move on by one orientation; their maximum
-or mean over the six does not change but for its place.
+kernel takes no interpolation. ``HexLiftConv2d`` convolves with each kernel in six orientations, ``HexGroupConv2d`` its
+results ``(B, C, 6, V)``: its kernel has values for each orientation relative to its own, and turns as a whole. If the
+picture turns by 60°, values turn with it and move on by one orientation; their maximum or mean over the six turns, too,
+and is otherwise the same.
 
 ``nn.BatchNorm2d``, ``nn.ReLU`` and ``IcospherePool`` take such values as they are. Orientations are counted from north.
 Near a pole north differs from one vertex to the next, and values of neighbours are in frames that are turned against

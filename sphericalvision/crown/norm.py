@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Normalisation of a crown: one set of statistics over the rectangles of both directions."""
+"""Normalisation of a crown by statistics over the rectangles of both directions together."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class _CrownInstanceNorm(_CrownBatchNorm):
 class CrownInstanceNorm2d(_CrownInstanceNorm):
     """Instance normalisation of a crown ``(B, 5, C, h, w)``: the statistics of each sample over both directions.
 
-    The choice for training with a batch of one or two, where statistics of a batch tell little of the next one.
+    For training with a batch of one or two, whose statistics vary too much from batch to batch.
 
     Args:
         num_features: C.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Training in less memory: what lies inside a part of a network is not kept, but computed again when it is needed."""
+"""Training in less memory: the inside of parts of a network is computed again in the backward pass, not kept."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ LARGE = 2**23
 
 
 class RecomputedModule(nn.Module):
-    """A module that in training keeps its inputs alone for the backward pass, if ``recompute`` says so.
+    """A module that keeps only its inputs for the backward pass if ``recompute`` is set.
 
-    What lies inside is computed again when it is needed: the same results and gradients for a third more work.
+    Its inside is computed again in the backward pass: the same results and gradients for a third more work.
     Running statistics take one step, not two. See ``set_kernel_options``.
 
     References:
@@ -50,9 +50,9 @@ class RecomputedModule(nn.Module):
 
 
 def recompute_if_large(module: nn.Module, crown: Crown) -> Any:
-    """Apply a module, which training computes twice if the crown is large: where memory counts, and calls do not.
+    """Apply a module, which training computes twice if the crown is so large that memory matters more than calls.
 
-    Only where operators in C++ are in use; by layers in torch and by the readable formulas nothing is done twice.
+    Only if operators in C++ are in use; layers in torch and the readable formulas compute nothing twice.
     """
     if not (module.training and torch.is_grad_enabled() and recomputation_pays(crown.col)):
         return module(crown)
@@ -60,7 +60,7 @@ def recompute_if_large(module: nn.Module, crown: Crown) -> Any:
 
 
 def _checkpointed(run: Callable[..., Any], module: nn.Module, *inputs: Any) -> Any:
-    """Call ``run``, which applies a module, keep its inputs alone, and call it once more in the backward pass."""
+    """Call ``run``, which applies a module, keep only its inputs, and call it again in the backward pass."""
     way = mode_in_use()  # twice, or other tensors would be saved than are asked for
 
     def contexts() -> tuple[AbstractContextManager[None], AbstractContextManager[None]]:
@@ -70,7 +70,7 @@ def _checkpointed(run: Callable[..., Any], module: nn.Module, *inputs: Any) -> A
 
 
 class _StatisticsRestored(AbstractContextManager[None]):
-    """Puts running statistics back to what they were before; may be entered again, as second derivatives do."""
+    """Restores running statistics at its end; second derivatives enter it again."""
 
     def __init__(self, module: nn.Module, way: str) -> None:
         norms = [part for part in module.modules() if isinstance(part, _BatchNorm)]

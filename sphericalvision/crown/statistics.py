@@ -20,9 +20,9 @@ class CrownNorm(_BatchNorm):
     """Parameters and running statistics of a normalisation whose statistics count both kinds of rectangles."""
 
     per_sample = False
-    """Whether each sample has statistics of its own."""
+    """Whether each sample is normalised by its own statistics."""
     groups = 1
-    """In how many groups, one after another, samples come to training, of which each has statistics of its own."""
+    """Number of consecutive groups of samples in training, each normalised by its own statistics."""
 
     def _check_input_dim(self, input: Tensor) -> None:
         """Accept all: the crown is checked as a whole."""

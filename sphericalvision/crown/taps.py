@@ -20,7 +20,7 @@ from sphericalvision.tables import constant_table
 
 Taps = tuple[tuple[int, ...], ...]
 
-# Taps 0 to 5 go round the centre, tap 6; 7 stands for a zero at the two corners that are no neighbours.
+# Taps 0 to 5 go round the centre, tap 6; 7 marks the zeros at the two corners that are no neighbours.
 COL_TAPS: Taps = ((7, 5, 4), (0, 6, 3), (1, 2, 7))
 ROW_TAPS: Taps = ((7, 0, 5), (1, 6, 4), (2, 3, 7))
 
@@ -90,7 +90,7 @@ def _planar_taps(dtype: torch.dtype, device: torch.device) -> Tensor:
 
 
 def neighbor_taps(taps: Taps) -> list[int]:
-    """Of the nine places of a planar kernel those that hold a tap."""
+    """Return the positions of the seven taps among the nine of a planar kernel."""
     return [place for place, tap in enumerate(sum(taps, ())) if tap < 7]
 
 

@@ -22,7 +22,7 @@ def collate_samples(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     differ. Serves as ``collate_fn`` of a ``DataLoader``.
 
     Args:
-        samples: dicts with the same keys; each sample may have a rig of its own.
+        samples: dicts with the same keys; rigs may differ from sample to sample.
 
     Raises:
         ArgumentError: no samples, or keys differ.

@@ -62,15 +62,15 @@ def read_points(
 
     Args:
         path: of the file.
-        columns: numbers of a point in a ``.bin``, which does not tell them.
+        columns: count of numbers of a point in a ``.bin``, which has no header.
         ignore_viewpoint: take points of a ``.pcd`` as stored even if its line VIEWPOINT holds a pose. Some programs
             have moved the points by that pose, others have not, and the file does not state which.
 
     Raises:
         MissingFileError: there is no such file.
         FileFormatError: it is damaged, of none of these formats, or its values are none that a scanner gives: points
-            farther than 10,000 km, whole numbers, whose unit nobody knows, or columns of a ``.bin`` that repeat in
-            another rhythm, as float64 and columns counted wrong have them. Or a ``.pcd`` has a VIEWPOINT.
+            farther than 10,000 km, whole numbers, whose unit is unknown, or columns of a ``.bin`` that repeat with
+            another period, as of float64 or of a wrong count of columns. Or a ``.pcd`` has a VIEWPOINT.
 
     Examples:
         >>> np.save("scan.npy", np.ones((2, 3), np.float32))
@@ -188,7 +188,7 @@ def _bin(path: Path, columns: int | None) -> Any:
 
 
 def _period(values: Any, width: int) -> int:
-    """After how many numbers columns repeat: ``width``, unless another number says it clearly.
+    """Period of the columns in a stream of numbers: ``width``, unless another one is clearly better.
 
     Numbers of one column are of one size: z is within metres, x and y within a hundred, a reflectance within one.
     With the right width the logarithms vary little within a column; with a wrong one each column is a mixture of all.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``SampleView``: which images and which depth a sample holds for networks."""
+"""``SampleView``: the images and the depth of a sample, as networks take them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sphericalvision.sphere.intake import Intake
 
 @dataclass(frozen=True)
 class SampleView:
-    """What samples hold for networks. What is None or False is neither rendered nor looked up.
+    """The entries of samples for networks; those that are None or False are neither rendered nor looked up.
 
     Attributes:
         level: of the icosphere with images: ``images`` ``(n, 3, V)`` in [-1, 1], 0 where not ``seen`` ``(n, V)`` (in
@@ -60,10 +60,10 @@ class SampleView:
 
 
 class ToView:
-    """Transform of a sample as sets on disk hold it into one that holds what a view says.
+    """Transform of a sample of a set on disk into one with the entries of a view.
 
-    Images are looked up as by ``ToSphere``. Depth at vertices is that of the nearest pixel of the panorama. Tables are
-    kept while samples have the same rig object.
+    Images are looked up as by ``ToSphere``. Depth at vertices is taken from the nearest pixel of the panorama. Tables
+    are kept while samples have the same rig object.
 
     Examples:
         >>> import torch
@@ -82,7 +82,7 @@ class ToView:
         self._intake: Intake | None = None
 
     def images(self, images: Mapping[str, Tensor], rig: CameraRig) -> dict[str, Tensor]:
-        """The entries with images, camera name -> ``(3, h, w)`` in [0, 1], and those that say what of them was seen."""
+        """The entries of images, made of camera name -> ``(3, h, w)`` in [0, 1], and their masks of seen pixels."""
         entries: dict[str, Tensor] = {}
         if self.view.level is not None:
             entries |= {"images": self._to_sphere.images(images, rig), "seen": self._to_sphere.seen(rig)}

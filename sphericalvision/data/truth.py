@@ -45,7 +45,7 @@ def truth_from_points(
     tolerance: float = 0.017,
     noise: float = 0.0,
 ) -> PointTruth:
-    """Depth along the rays of a grid or camera, of the points of a scanner that may stand beside it.
+    """Depth along the rays of a grid or camera from the points of a scanner, which may stand elsewhere.
 
     Pixels through which no point is seen are unknown; nothing is filled in.
 
@@ -173,7 +173,7 @@ def _line_gap(rays: Tensor) -> float:
     side = (bearing / (math.pi / 2)).round().long() % 4
     firsts = [angles.where((side == k) & (angles > 1e-9), math.inf).amin(1) for k in range(4)]
     gap = 2 * float(torch.stack(firsts).amax(0).median())
-    return gap if gap < 0.2 else 0.2  # a scan so thin tells nothing about what lies between its points
+    return gap if gap < 0.2 else 0.2  # so thin a scan gives no depth between its points
 
 
 def _frames(rays: Tensor) -> tuple[Tensor, Tensor]:
@@ -215,7 +215,7 @@ def _fit_planes(u: Tensor, v: Tensor, rise: Tensor, within: Tensor, blur: Tensor
     # Cauchy's weights: wide at first (5 %), so that a start among two surfaces can go to either, then narrow (1 %).
     weights, residual = within / (1 + (rise / 0.05).square()), rise
     right = down = torch.zeros_like(rise[:, 0])
-    # A line of points alone tells one slope: this makes the other 0.
+    # A single line of points determines one slope; damping makes the other 0.
     damping = 1e-4 * gap**2
     for _ in range(STEPS):
         # Normal equations of two unknowns, solved by Cramer's rule for all pixels at once.

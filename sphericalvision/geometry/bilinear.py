@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``bilinear_sample``: images interpolated once, without a table.
+"""``bilinear_sample``: interpolation of images without a table.
 
 Pixel centres have integer coordinates, the top-left pixel's is (u, v) = (0, 0).
 """

@@ -178,8 +178,7 @@ def moderate_lengths(points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch
     """``points`` (*, 3) with those scaled to a length around 1 whose squares or products could overflow or vanish.
 
     All others, between 0.01 mm and three million kilometres, are handed on as they are, to the last bit; in half
-    precision they become float32. A zero vector stays zero; infinite ones become NaN, because nobody knows where they
-    point.
+    precision they become float32. A zero vector stays zero; infinite ones become NaN, as they have no direction.
 
     Examples:
         >>> moderate_lengths(torch.tensor([[3.0, 0.0, 4.0], [3e30, 0.0, 4e30], [3e-30, 0.0, 4e-30]])).tolist()[1:]

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lookups by number: each of P results reads few entries of something flat, with weights.
+"""Lookups by index: each of P results is a weighted sum of few entries of a flat source.
 
-``weighted_rows`` reads few entries by number, with weights; a sweep reads the vertices of its triangles so, and
-``Lookup`` is the module around it: vertices, pixels of HEALPix, one pixel for a label. It maps values ``(*b, C, ...)``
-to ``(*b, C, P)``, gives zero where nothing is seen, and is differentiable in values and in what the tables were made
-of. Its tables move with ``.to`` and are not saved. ``image_lookup`` is the same for positions in images.
+``weighted_rows`` serves sweeps, which read the vertices of triangles. ``Lookup`` is a module for vertices, pixels of
+HEALPix, or one pixel for a label: it maps values ``(*b, C, ...)`` to ``(*b, C, P)``, gives zero where nothing is seen,
+and is differentiable in values and weights. Its tables move with ``.to`` and are not saved. ``image_lookup`` is the
+same for positions in images.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ def read_entries(
 def weighted_rows(
     rows: Float[Tensor, "size C"], ids: Int[Tensor, "P k"], weights: Float[Tensor, "P k"]
 ) -> Float[Tensor, "P C"]:
-    """Weighted sums ``(P, C)`` of k rows ``(size, C)`` each: the one place where tables are read with weights.
+    """Weighted sums ``(P, C)`` of k rows ``(size, C)`` each.
 
-    Rows are read at once, which is why those who read much keep the channels of an entry side by side. The kernel for
-    it has first derivatives; under ``reference_kernels`` the sum is written out and has derivatives of any order. So it
-    is for compilers, which make one loop of it.
+    A row is read at once, so large tables keep the channels of an entry side by side. The kernel has first derivatives.
+    Under ``reference_kernels`` the sum is written out and has derivatives of any order; and for compilers, which make
+    one loop of it.
 
     Args:
         rows: floating point.
@@ -113,7 +113,7 @@ def weighted_sums(
 
 
 class PlacesInSinglePrecision(nn.Module):
-    """A module whose tables say where things are: of a network that is cast to half precision they become float32.
+    """A module whose tables are positions: in a network that is cast to half precision they become float32.
 
     Examples:
         >>> middle = Lookup(torch.tensor([[0, 1]]), torch.full((1, 2), 0.5)).half()

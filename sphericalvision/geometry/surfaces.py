@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where rays meet a surface whose depth is known all around one point."""
+"""Intersection of rays with a surface given as depth around one point."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from torch import Tensor
 
 STEPS, HALVINGS = 64, 12
 AT_ONCE = 2**19
-"""Points that are looked up together: an icosphere locates many faster than few."""
+"""Points looked up together: locating many on an icosphere is faster per point."""
 FARTHEST = 1e4
-"""Nearest depths: beyond, a camera of the rig sees what its centre sees."""
+"""Nearest depths; beyond, the parallax of a rig's camera is negligible."""
 
 
 def distance_along(
@@ -26,13 +26,13 @@ def distance_along(
     """Return the distance ``(n,)`` at which each ray first passes the surface; NaN where it never does.
 
     A point p is behind the surface where |p| · w(p / |p|) > 1. A ray is followed in even steps of inverse distance, the
-    spacing of hypotheses, until a point is behind; the place is then halved in. Where nothing is known a ray goes on,
-    and meets nothing before it is in front again.
+    spacing of hypotheses, until a point is behind; then the interval is bisected. Where depth is unknown the ray
+    continues, and can only meet the surface after it was in front again.
 
     Args:
         rays: ``(n, 3)`` unit directions.
         start: ``(3,)`` of all rays, from the point that depth is measured around, metres.
-        inverse_depth: of the surface, 1/m, ``(n,)`` in unit directions ``(n, 3)``; NaN where nothing is known.
+        inverse_depth: of the surface, 1/m, ``(n,)`` in unit directions ``(n, 3)``; NaN where unknown.
         min_depth: metres; the surface is nowhere nearer.
 
     Examples:

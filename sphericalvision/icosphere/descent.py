@@ -89,7 +89,7 @@ def descend(unit: Float[Tensor, "M 3"], level: int) -> Triangles:
         ab, bc, ca = (F.normalize(p + q, dim=-1) for p, q in ((a, b), (b, c), (c, a)))
         to_ab, to_bc, to_ca = ab - unit, bc - unit, ca - unit
         at_a = triple(unit, to_ab, to_ca) > 0
-        at_b = (triple(unit, to_bc, to_ab) > 0) & ~at_a  # exclusive also where rounding says otherwise
+        at_b = (triple(unit, to_bc, to_ab) > 0) & ~at_a  # exclusive despite rounding
         at_c = (triple(unit, to_ca, to_bc) > 0) & ~(at_a | at_b)
         inner = ~(at_a | at_b | at_c)
         row = 2 * row + sign * (at_c | inner)

@@ -20,7 +20,7 @@ def icosphere_vertex_parents(level: int, device: torch.device | str | None = Non
     ``coarse_vertex_ids``.
 
     Examples:
-        >>> icosphere_vertex_parents(1)[:3].tolist()  # the north pole, and two vertices beside it
+        >>> icosphere_vertex_parents(1)[:3].tolist()  # the north pole, and two vertices next to it
         [[0, 0], [0, 1], [1, 3]]
     """
     n = 2 ** check_level(level, 1)

@@ -4,8 +4,8 @@
 The midpoints of a spherical triangle's edges cut it into four spherical triangles along great circles, so
 the containing triangle of level l lies inside the containing triangle of level l - 1. One base face of
 twenty and one choice of four a level find it, for any number of directions at once and without a search tree.
-``TriangleLocator`` does so for whoever fills large tables in parts. Faster bodies, behind ``fast/``, find a triangle by
-a table of cells and a few steps across edges; both give the same but for rounding.
+``TriangleLocator`` does so chunk by chunk, for large tables. Faster bodies, behind ``fast/``, find a triangle by a
+table of cells and a few steps across edges; results are equal up to rounding.
 """
 
 from __future__ import annotations

@@ -41,8 +41,8 @@ def icosphere_within(
     directions = in_single_precision(directions)
     vertices = icosphere_vertices(level, directions.dtype, directions.device)
     unit = F.normalize(moderate_lengths(directions), dim=-1)
-    # Chords tell angles apart up to a right angle, where cosines of small ones are all one; beyond, the chord to the
-    # opposite direction does. Vertices on the border belong to the disc whatever the rounding.
+    # Chords resolve small angles, whose cosines all round to one; beyond a right angle the chord to the opposite
+    # direction does. Vertices on the border belong to the disc whatever the rounding.
     narrow = angle <= math.pi / 2
     chords = torch.cdist(
         (unit if narrow else -unit).reshape(-1, 3), vertices, compute_mode="donot_use_mm_for_euclid_dist"

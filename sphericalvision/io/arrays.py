@@ -60,7 +60,7 @@ def read_npz(
             members = {key: f"{key}.npy" for key in keys}
             total = 0
             for member in members.values():
-                with archive.open(member) as file:  # a zip says one size, the array in it may say another
+                with archive.open(member) as file:  # the zip and the array in it may claim different sizes
                     total += max(archive.getinfo(member).file_size, _declared_bytes(file))
             if total > most_bytes:
                 raise ValueError(

@@ -12,7 +12,7 @@ METRES = {
     r"(^|\bunits?\b|\b(in|are)\b|[\[(=:])\W*([cmk]m|(centi|milli|kilo)met(er|re)s?|feet|ft|inch(es)?)\b": "metres",
     r"\b(lat|latitude)\b": "x, y and z in metres",
 }
-"""What a comment says of lengths, and what is expected."""
+"""Units that a comment may name, and the expected ones."""
 FIRST = 100
 """Lines of a file among which comments are looked at, of so many characters at most."""
 
@@ -23,7 +23,7 @@ def warn_of_comments(path: Path, lines: Iterable[str], expected: Mapping[str, st
     Args:
         path: of the file, for the message.
         lines: from its beginning, of text; ``#``, ``//``, ``%`` and ``comment`` and ``obj_info`` begin a comment.
-        expected: regular expression of what a comment says otherwise -> what is expected in its place.
+        expected: regular expression of a contradicting comment -> what is expected instead.
     """
     for number, line in zip(range(1, FIRST + 1), lines, strict=False):
         match = re.match(r"[^#/%]*(?:#|//|%)(.*)|(?:comment|obj_info)\b(.*)", line[:FIRST])

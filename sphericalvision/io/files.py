@@ -31,7 +31,7 @@ MACHINE = _machine()
 LEFT = 7 * 24 * 3600
 """Seconds after which a temporary file of another machine is one that a killed process has left."""
 TEMPORARY = re.compile(r"\.([0-9a-f]{8})-(\d+)-[0-9a-f]{32}(\.|$)")
-"""Name of a temporary file: the machine and the process that write it, and a number of its own."""
+"""Name of a temporary file: machine, process and a unique number."""
 
 
 @contextmanager
@@ -41,7 +41,7 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
     Whoever reads ``path`` finds the old file or the new one, never half of one; an interrupted or failed block leaves
     the old file and nothing else, and what a killed process has left is removed by the next one that writes there. The
     temporary file has the suffix of ``path``, by which many writers choose their format, and the permissions that the
-    process gives to any new file, even where a writer makes it anew with fewer.
+    process gives to any new file, even if a writer creates it again with fewer.
 
     Args:
         path: what is to be written; missing folders are made.
@@ -129,7 +129,7 @@ def read_text(path: Path) -> str:
     """The text of a file, in UTF-8, or in UTF-16 if it begins with a byte order mark, as Windows' shells write it.
 
     Raises:
-        FileFormatError: it is binary, or text in another encoding; the message says which it is.
+        FileFormatError: it is binary, or text in another encoding; the message names it.
     """
     data = read_bytes(path, MAX_BYTES // 4)
     is_marked = data[:2] in (b"\xff\xfe", b"\xfe\xff")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Images and masks from and to disk as tensors: reads say what is wrong, writes appear whole or not at all."""
+"""Images and masks from and to disk as tensors; files are written whole or not at all."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from sphericalvision.io.files import read_bytes, write_bytes
 from sphericalvision.io.times import seconds
 
 MAX_PIXELS = 2**27
-"""Pixels of all pages of an image file together; a file that says it has more is refused before it is decoded."""
+"""Maximum of pixels of all pages of an image file; a file whose header claims more is refused undecoded."""
 
 MAX_PAGES = 256
 """Of an image file: of a film of tiny pages each takes time, whatever its size."""
@@ -50,7 +50,7 @@ Size = tuple[int, int]
 def read_pages(path: str | Path, what: str = "an image") -> list[Array]:
     """Read all pages of an image file as stored (colour pages as RGB), without scaling.
 
-    Images are not turned, whatever the file says of an orientation: calibrations are of what the sensor stores.
+    An orientation in the file is ignored: calibrations are of the stored image.
 
     Args:
         path: any format OpenCV reads.
@@ -58,7 +58,7 @@ def read_pages(path: str | Path, what: str = "an image") -> list[Array]:
 
     Raises:
         MissingFileError: there is no such file; the message says that ``what`` was expected.
-        FileFormatError: the file is not an image, is cut short, or says that it has more than ``MAX_PIXELS`` pixels.
+        FileFormatError: the file is not an image, is cut short, or claims more than ``MAX_PIXELS`` pixels.
     """
     return [_to_rgb(page) for page in _decoded(path, what)]
 
@@ -78,7 +78,7 @@ def decode_image(encoded: Array, where: str, what: str = "an image") -> Array:
 
 
 def read_image_size(path: str | Path) -> Size:
-    """Return the ``(height, width)`` of an image file, of its first page; pixels are decoded only if no header says it.
+    """Return the ``(height, width)`` of an image file's first page, from its header if possible.
 
     Args:
         path: any format OpenCV reads.
@@ -99,7 +99,7 @@ def read_image_size(path: str | Path) -> Size:
 
 
 def read_exif_time(path: str | Path) -> float | None:
-    """Seconds at which a camera took a picture, by its own clock, as EXIF tells them; None where it does not."""
+    """Time in seconds of a picture by the camera's clock, from EXIF; None if there is none."""
     from PIL import Image  # only who reads files pays for it
 
     with suppress(Exception), Image.open(path) as image:
@@ -113,7 +113,7 @@ def read_image(
 ) -> Float[Tensor, "3 h w"]:
     """Read an image as float32 ``(3, h, w)`` in [0, 1]; grey gets three equal channels, alpha is dropped.
 
-    It is not turned, whatever the file says of an orientation.
+    An orientation in the file is ignored.
 
     Args:
         path: any format OpenCV reads, with 8 or 16 bits a channel.
@@ -310,7 +310,7 @@ def _first_page(path: str | Path, image_size: Size | None, what: str) -> Array:
 
 
 def _white_of_pnm(path: str | Path) -> int | None:
-    """The value that a PGM or PPM says is white, 1023 of 10 bits; None of other files."""
+    """The white value in the header of a PGM or PPM, such as 1023 for 10 bits; None for other files."""
     with Path(path).open("rb") as file:
         tokens = re.sub(rb"#[^\n]*", b"", file.read(1024)).split(maxsplit=4)
     is_pnm = len(tokens) > 3 and tokens[0] in (b"P2", b"P3", b"P5", b"P6") and tokens[3].isdigit()
@@ -331,7 +331,7 @@ def _decode(encoded: Array, path: str | Path, what: str, image_size: Size | None
         )
     _check_sizes(path, sizes, image_size)
     pages: Sequence[Array] = ()
-    # OpenCV believes damaged headers, too, and takes gigabytes for what they say: no size, no decoding.
+    # OpenCV allocates gigabytes for damaged headers, so a file without a known size is not decoded.
     believed = bool(sizes) or encoded[:4].tobytes().startswith(SIZES_UNKNOWN)
     if believed and _chunks_fit(encoded):
         with suppress(cv2.error):
@@ -362,11 +362,10 @@ def _half_precision_pages(encoded: Array) -> list[Array]:
 
 
 def _sizes(encoded: Array) -> tuple[list[Size], bool]:
-    """(height, width) of every page as the headers say; nothing where a header is damaged, or only OpenCV knows it.
+    """(height, width) of every page by the headers, none if damaged; and whether OpenCV would turn the image.
 
-    And whether OpenCV would turn what is stored, as it does TIFFs with an orientation, and no other format.
-
-    Pixels are not decoded, so a small file that claims to be a huge image costs nothing.
+    OpenCV turns TIFFs with an orientation, and no other format. Pixels are not decoded, so a small file that claims to
+    be a huge image costs nothing.
     """
     from PIL import Image  # only who reads files pays for it
 

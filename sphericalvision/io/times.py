@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Times as names of files and lines of trajectories tell them, and what was taken at one time."""
+"""Times in names of files and lines of trajectories, and pairs of simultaneous ones."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from sphericalvision.io.files import by_numbers
 
 SAME_TIME = 0.02
-"""Seconds between what was taken at one time, at most."""
+"""Largest difference in seconds of what counts as taken at one time."""
 
 _NUMBER = re.compile(r"-?\d+(\.\d*)?(e[+-]?\d+)?", re.IGNORECASE)
 _PARTS = re.compile(r"(\d{1,11})_(\d{1,9})")
@@ -32,7 +32,7 @@ _UNIT = re.compile(
     r"(?:(?<![A-Za-z])|(?<=[a-z])(?=[A-Z]))([NnUuµ]|[Mm]ic|[Mm])(?:ano|ro|illi)?[sS](?:ec(?:ond)?s?)?(?![A-Za-z])"
     r"|(?i:time(?:code|stamp) format v2)"
 )
-"""Of times, in the header of a table; the last one, of tables for mkvmerge, stands for milliseconds."""
+"""Units of time in the header of a table; the last one, of tables for mkvmerge, means milliseconds."""
 
 
 def unit_in(header: str) -> float | None:
@@ -47,14 +47,14 @@ def unit_in(header: str) -> float | None:
 
 
 def seconds(names: Sequence[str], unit: float | None = None) -> list[float | None]:
-    """The time in seconds that each name tells; None of a name that tells none.
+    """The time in seconds in each name; None for a name without one.
 
     With ``unit`` names are numbers of it. Else a time is a number, with a sign, decimals or an exponent or without:
     nanoseconds, microseconds, milliseconds or seconds by its magnitude; or two numbers, seconds and their fraction in
     nanoseconds, or in microseconds where no name of all has more than six digits of it and seconds are since 1970. A
     word before the first underscore (``cloud_...``) may stand before times since 1970, in nanoseconds or with decimals:
     ``frame_12`` is a count, ``1920_1080`` a size. Dates (``20240131_235959``, ``2024-01-31 23:59:59``) are times where
-    all tell fractions of a second (``PXL_20240131_235959123``, ``2024-01-31T23-59-59.123456Z``), too. Decimals of
+    all have fractions of a second (``PXL_20240131_235959123``, ``2024-01-31T23-59-59.123456Z``), too. Decimals of
     unequal lengths up to nine, some of which end in 0, are nanoseconds without the zeros in front: no program writes
     fractions so.
 
@@ -114,7 +114,7 @@ def are_counts(names: Sequence[str]) -> bool:
 
 
 def in_order(names: Iterable[str]) -> list[str]:
-    """Names in the order of the times that they tell, or of the numbers in them where not all tell one.
+    """Names in the order of their times, or, if not all have one, of the numbers in them.
 
     Examples:
         >>> in_order(["12.8", "12.76"]), in_order(["img10", "img2"])

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``Intake``: from the images that the cameras of a rig took to what a network takes.
+"""``Intake``: from the images of a rig's cameras to the input of a network.
 
-``as_photographs`` takes them as programs hold them: numpy or torch, 8 bits or float, grey or colour.
+``as_photographs`` converts images as programs hold them: numpy or torch, 8 bits or float, grey or colour.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from sphericalvision.icosphere import Icosphere
 CHANNELS = (1, 3, 4)
 """Grey, colour, and colour with alpha, which is dropped."""
 PILLOW_MODES = ("L", "RGB", "RGBA", "I;16", "F")
-"""Of Pillow's pictures those whose numbers are brightness."""
+"""Modes of Pillow whose numbers are brightness."""
 
 
 class Intake:
@@ -37,8 +37,8 @@ class Intake:
 
     Args:
         rig: unbatched.
-        grid: that the images are looked up on; None for the cameras' own images, which must be of one size then.
-        antialias: average images over the area between the vertices first, where they are finer.
+        grid: on which the images are looked up; None for the cameras' own images, which must be of one size then.
+        antialias: average images over the area between the vertices first where they are finer.
 
     Attributes:
         rig: as given.
@@ -92,7 +92,7 @@ class Intake:
     def averaged(
         self, images: Mapping[str, Shaped[Tensor, "*batch c _ _"]]
     ) -> dict[str, Float[Tensor, "*batch c _ _"]]:
-        """Return the smaller images that values are looked up in, in the rig's order. Arguments as of a call."""
+        """Return the smaller images in which values are looked up, in the rig's order; arguments as in a call."""
         check_images_of(self.rig, images)
         if not self.lookups:
             return {name: as_floats(images[name]) for name in self.rig.names}
@@ -102,7 +102,7 @@ class Intake:
     def looked_up(
         self, averaged: Mapping[str, Shaped[Tensor, "*batch c _ _"]]
     ) -> Shaped[Tensor, "*batch_and_size"]:
-        """Return the values of ``averaged`` images, without a change of range: a tensor of their own."""
+        """Return the values of ``averaged`` images in their own range, as a new tensor."""
         if not self.lookups:
             return torch.stack(list(averaged.values()), -4)
         pairs = zip(self.lookups, averaged.values(), strict=True)
@@ -164,7 +164,7 @@ def as_photographs(images: Mapping[str, Any], rig: CameraRig) -> dict[str, Float
     Args:
         images: by camera name, numpy arrays or tensors ``(h, w)``, ``(h, w, c)`` or ``(c, h, w)``, c = 1, 3 or 4,
             or batches of such; unsigned integers from 0 to the greatest of their type, or floats in [0, 1].
-        rig: says the sizes ``(h, w)``.
+        rig: of the cameras, whose sizes ``(h, w)`` are checked.
 
     Raises:
         ArgumentError: images of other cameras than the rig's, or values out of range.

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the operators in C++ come from: the machine's compiler, beside the work, and then the user's cache.
+"""Compiles the operators in C++ in the background, once, and keeps them in the user's cache.
 
-The library lies in ``$XDG_CACHE_HOME/sphericalvision`` (``~/.cache/sphericalvision``), a folder that nobody else may
-write to, under a name that follows from all that it depends on: sources, torch, compiler and processor. It is code that
-will run, so files of others, or that others could have written, are not loaded; and its digest lies beside it, as a
-shorter file would end the process when it is read. Such files are made anew.
+The library is in ``$XDG_CACHE_HOME/sphericalvision`` (``~/.cache/sphericalvision``), a folder that only the user may
+write to, under a name that depends on sources, torch, compiler and processor. It is code that will run, so files that
+others own or could have written are not loaded. Its digest is next to it, because loading a file that was cut short
+would end the process. Such files are compiled again.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ SOURCES = [Path(__file__).with_name(name) for name in ("hex_convolution.cpp", "n
 HEADERS = [Path(__file__).with_name(name) for name in ("lanes.h", "volumes.h", "winograd_lines.h")]
 
 PATIENCE = 20.0
-"""Seconds after the first convolution from which compiling pays: about what it takes.
+"""Seconds after the first convolution from which compiling pays: about as long as compiling takes.
 
-Nobody knows how long a process will go on. Who waits until it has worked for as long as compiling takes never wastes
-more than that, and short commands never compile: the rule of those who rent skis until they have paid for a pair.
+How long a process will run is unknown. This rule of the ski rental problem wastes at most the time of one compilation,
+and short commands never compile.
 """
 
 BANNER = 5.0
-"""Seconds within which a compiler says what it is; the first convolution waits for it."""
+"""Seconds that the first convolution waits for a compiler to print its version."""
 COMPILING = 600.0
-"""Seconds after which a compiler is taken for one that hangs."""
+"""Seconds after which a compiler counts as hanging."""
 
 # What the processor has, as torch names it. Nothing else is asked for, so that machines may share a folder.
 _INSTRUCTIONS = {
@@ -99,7 +99,7 @@ def _consider() -> None:
             if _is_whole(_library()):
                 _load(_library())
         except (OSError, RuntimeError, subprocess.SubprocessError):
-            pass  # it is made anew below, or said why not
+            pass  # it is compiled again later, or the reason is logged
         return
     # Results that must not change from run to run must not change within one either.
     if now - _State.first_asked < PATIENCE or torch.are_deterministic_algorithms_enabled():
@@ -125,7 +125,7 @@ def _compile_beside() -> None:
 
 
 def _load_or_compile(*before: str) -> bool:
-    """Load the library, made anew unless it is there and whole; a command to compile may be put ``before``."""
+    """Load the library, after compiling it if it is missing or damaged; ``before`` precedes the compiler's command."""
     try:
         library = _library()
         with _alone(library.parent):
@@ -133,7 +133,7 @@ def _load_or_compile(*before: str) -> bool:
                 _compile(library, list(before) if before and shutil.which(before[0]) else [])
             try:
                 _load(library)
-            except (OSError, RuntimeError):  # of a torch that says the same of itself and is another
+            except (OSError, RuntimeError):  # of another torch with the same version and configuration
                 _compile(library, [])
                 _load(library)
     except (OSError, RuntimeError, subprocess.SubprocessError) as error:
@@ -174,7 +174,7 @@ def _is_own(found: os.stat_result, allowed: int) -> bool:
 
 @cache
 def _compiler() -> tuple[str, str]:
-    """The compiler and what it says of itself."""
+    """The compiler and its version."""
     command = os.environ.get("CXX") or "c++"
     found = shutil.which(command)
     if found is None:
@@ -245,7 +245,7 @@ def _alone(folder: Path) -> Iterator[None]:
 
 
 def _compile(library: Path, before: list[str]) -> None:
-    """Write the library and its digest; what does not reach the disk whole is told by the digest, and made anew."""
+    """Write the library and its digest, by which a file that did not reach the disk whole is noticed."""
     root = Path(torch.__file__).parent
     headers = root / "include"
     include = ["-isystem", str(headers), "-isystem", str(headers / "torch" / "csrc" / "api" / "include")]

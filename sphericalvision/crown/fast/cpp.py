@@ -27,7 +27,7 @@ from sphericalvision.tables import constant_table
 
 def operators_in_use() -> bool:
     """Whether the mode of ``kernels`` asks for operators in C++, and they are compiled."""
-    # Who traces a function cannot load a library.
+    # A library cannot be loaded while a function is traced.
     return operators_ready(kernel_mode(), may_load=not torch.compiler.is_compiling())
 
 
@@ -59,7 +59,7 @@ def convolve_rectangles(
     """Convolve rectangles as ``taps.convolve_rectangles`` does; at stride 2 by torch, keeping no copied borders."""
     differentiates = torch.is_grad_enabled()
     if stride == 1 and _operators_fit(col, weight):
-        # Operators rectify where nobody differentiates: a derivative would have to keep their results.
+        # Operators rectify only without derivatives, which would have to keep their results.
         pair = tuple(
             _outward(
                 hex_convolution(

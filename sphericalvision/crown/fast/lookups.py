@@ -168,7 +168,7 @@ def _multiply_taps(values: Tensor, weight: Tensor, bias: Tensor | None, stride: 
     read = values.index_select(-1, tables.reads)
     means = read[..., -63:-3].unflatten(-1, (12, 5)).mean(-1)
     read.index_copy_(-1, tables.gaps, means)
-    # Seven values a vertex in a row: a convolution that goes on by seven needs no other order of the weights.
+    # The seven values of a vertex are in a row, so a convolution of stride seven takes the weights as they are.
     return F.conv1d(read, weight, bias, stride=7)[..., :-9]
 
 

@@ -48,7 +48,7 @@ def _normalization(
         weight: of a convolution that follows, ``(O, C, 7 or 21)``.
         bias: of that convolution, ``(O,)``.
         eps: added to the variance.
-        per_sample: whether each sample has statistics of its own.
+        per_sample: whether each sample is normalised by its own statistics.
         relu: whether a ReLU follows, as it does before a convolution.
 
     Returns:
@@ -79,15 +79,15 @@ def _gradients(
 ) -> list[Tensor | None]:
     """Gradients of col, row, scale, shift, weight and bias.
 
-    A place has a gradient of its own and, through mean and variance, a share of the sums of all places'. All in all
-    that is, per channel, ``factor * gradient + by_value * value + constant``.
+    Each place has a direct gradient and, through mean and variance, a part of the sums over all places. Together,
+    per channel, this is ``factor * gradient + by_value * value + constant``.
     """
     col, row, scale, shift, weight, bias, eps, per_sample, relu = inputs
     mean, variance = statistics
     values = _places((col, row))
     factor, offset = _scaling(mean, variance, scale, shift, eps)
     gradients, by_weight = _places(upstream), [None, None]
-    # Backwards through the convolutions, which make what they were given once more while they read.
+    # Backwards through the convolutions, which normalise their inputs again while they read.
     if weight is not None:
         kinds: list[Any] = [
             convolution_gradients(
@@ -115,7 +115,7 @@ def _gradients(
     number = _number(values, per_sample)
     by_value = -factor * invert * along / number
     constant = -factor * total / number - by_value * mean
-    # The second pass. What the convolutions returned is nobody else's, and is written over.
+    # The second pass. It writes over the convolutions' gradients, which nothing else uses.
     input_gradients = [torch.empty_like(x) for x in values] if weight is None else gradients
     for g, x, result in zip(gradients, values, input_gradients, strict=True):
         operators.normalized_gradient(g, x, factor, offset, relu, by_value, constant, result)

@@ -79,7 +79,7 @@ class Operator:
     # Of the function.
 
     def _empty_results(self, *inputs: Any) -> Any:
-        # Of tensors without values the formula costs nothing, and says the shapes.
+        # On tensors without values the formula costs nothing and gives the shapes.
         results = self.plain(*inputs)
         if isinstance(results, Tensor):
             return results.new_empty(results.shape)
@@ -101,7 +101,7 @@ class Operator:
     # Of its gradients.
 
     def _compute_gradients(self, *values: Any) -> tuple[Tensor, ...]:
-        # An operator returns tensors: an empty one stands for none.
+        # An operator returns tensors: an empty one marks a gradient that is not needed.
         gradients = self.gradients(*self._split(values))
         return tuple(values[0].new_empty(0) if x is None else x for x in gradients)
 
@@ -115,7 +115,7 @@ class Operator:
         _, _, statistics, needs_grad = self._split(values)
         end = len(values) - len(statistics) - 1  # the gradients of the results and the inputs are before it
         with torch.enable_grad():
-            # Views, so that a tensor given twice is told apart; all with a gradient, which the formula may ask for.
+            # Views, so that one tensor as two arguments has two gradients; all of them may be asked for.
             views = [
                 (x.view_as(x) if x.requires_grad else x.detach().requires_grad_())
                 if isinstance(x, Tensor) and x.is_floating_point()

@@ -8,7 +8,7 @@ more column in the east make it a ``col`` rectangle; all of these vertices are o
     row 0           north pole, then column 0 of the next chart, upper half
     last column     column 0 of the next chart, lower half, then its last row, then the south pole
 
-A ``row`` rectangle is the northern half of one of these beside the southern half of the next one, whose columns meet.
+A ``row`` rectangle is the northern half of one of these next to the southern half of the following one.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere.intake import signed, unsigned
 
 SEEN = {"images": "seen", "fisheye": "fisheye_seen"}
-"""Entries with colours, and the entries that say what of them was seen."""
+"""Entries with colours, and the entries with their masks of seen pixels."""
 
 
 class PhotometricAugmentation(nn.Module):

@@ -19,9 +19,9 @@ from sphericalvision.sphere.intake import pixels_seen
 class RotateFisheye:
     """Turn the cameras of a sample where they stand, and make the images that they would have taken.
 
-    For images that cannot be rendered anew, such as OmniHouse's: what a turned camera sees outside the field of view,
-    the image or the mask of the original is not known; there images are 0, and ``seen`` (camera name -> ``(h, w)``)
-    and the masks of the sample's new rig are False. Positions stay, so depth from the rig's centre stays true, and
+    For images that cannot be rendered again, such as OmniHouse's. Outside the field of view, the image or the mask of
+    the original nothing is known: there images are 0, and ``seen`` (camera name -> ``(h, w)``) and the masks of the
+    sample's new rig are False. Positions stay, so depth from the rig's centre stays true, and
     ground truth is passed on as it is. Belongs before ``ToSphere``. Where images shrink they are averaged.
 
     Tables are kept while samples come with one and the same rig object; the new rig is one object, too.

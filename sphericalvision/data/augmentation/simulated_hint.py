@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hints of depth as others give them, made from the truth: what training shows a network that is to take hints."""
+"""Simulated hints of depth, made from the truth, for training networks that take hints."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ def simulated_hint(
 ) -> DepthHint:
     """Return a hint ``(B, V)`` for each sample, of weight 0 everywhere in most of them.
 
-    It is as wrong as what people have: each camera's view is scaled and shifted a little, as a monocular network leaves
-    it that was fitted to the sweep; edges are blurred; errors of up to 15 % are smooth for one part and independent
-    from vertex to vertex for the other, and the weight is about as low as they are large; there are holes, or only the
-    view of one camera, or single points as of a LiDAR. Where mirrors and bare walls are it says what is there, as the
-    truth does. One in four is of another sample, turned, and is no less sure of itself.
+    Its errors are those of real hints. Each camera's view is scaled and shifted a little, as by a monocular network
+    that was fitted to the sweep. Edges are blurred. Errors of up to 15 % are partly smooth and partly independent from
+    vertex to vertex, and the larger they are the lower is the weight. There are holes, or only the view of one camera,
+    or single points as of a LiDAR. Mirrors and bare walls have their true depth. One hint in four is of another sample,
+    turned, with the same weights.
 
     Args:
         inverse_depth: ``(B, V)`` true, in 1/m, on an icosphere.
@@ -83,7 +83,7 @@ def simulated_hint(
     values = values.where(has_depth, 0.0)
 
     cameras = inverse_depth.new_ones(batch, 1, values.shape[-1]) if seen is None else seen.to(values)
-    # The greatest of those that see a direction says it.
+    # In each direction the camera with the largest random number among those that see it gives the depth.
     order = cameras * (uniform(cameras.shape[1], 1) + 0.01)
     greatest, view = order.max(1)
     mean = values.sum(1, keepdim=True) / has_depth.sum(1, keepdim=True).clamp(min=1)

@@ -42,7 +42,7 @@ USUAL_KINDS = {
     "seen": "seen",
     "rig": "rig",
 }
-"""What the entries of a sample are, by their names."""
+"""Kinds of the entries of a sample, by their names."""
 
 Parameters = dict[str, Tensor]
 
@@ -77,9 +77,9 @@ class _SphereAugmentation(nn.Module):
         return torch.where(params["batch_prob"][:, None, None], rotation, torch.eye(3).to(rotation))
 
     def forward_parameters(self, batch_shape: tuple[int, ...]) -> Parameters:
-        """Draw the parameters of a batch: those of ``generate_parameters``, and in ``batch_prob`` who is turned.
+        """Draw the parameters of a batch: those of ``generate_parameters``, and in ``batch_prob`` which samples turn.
 
-        With ``same_on_batch`` they are those of one sample, for all.
+        With ``same_on_batch`` they are drawn for one sample, and used for all.
         """
         batch_shape = (1, *batch_shape[1:]) if self.same_on_batch else batch_shape
         params = self.generate_parameters(batch_shape)
@@ -89,10 +89,10 @@ class _SphereAugmentation(nn.Module):
     def forward(
         self, *data: Any, params: Parameters | None = None, data_keys: Sequence[str] | None = None
     ) -> Any:
-        """Turn a tensor, an image, or the entries of a sample; draw how unless ``params`` tell it.
+        """Turn a tensor, an image, or the entries of a sample, by ``params`` or else by new random ones.
 
-        Several entries are turned alike and come back as a list: ``data_keys`` says what each is, by the names that
-        entries of samples have ("input" is an image, too).
+        Several entries are turned alike and come back as a list: ``data_keys`` names the kind of each, as entries of
+        samples are named ("input" is an image, too).
 
         Raises:
             ArgumentError: as many keys as entries are needed, of known names.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The omnidirectional stereo sets (OmniThings, OmniHouse, Sunny, Cloudy, Sunset) and sets of one's own like them."""
+"""The omnidirectional stereo sets (OmniThings, OmniHouse, Sunny, Cloudy, Sunset) and your own in their layout."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class OmniStereoDataset(Dataset[Sample]):
         minimum depth 0.55 m               minimum depth 1.65 m
         rig radius 0.20 m                  rig radius 0.60 m
 
-    A set of one's own needs the same layout, any number of cameras and frames, and one scale throughout.
+    Your own set needs the same layout, any number of cameras and frames, and one scale throughout.
 
     Each sample is a dict: ``images`` (camera name -> float32 ``(3, h, w)`` in [0, 1]), ``seen`` (camera name ->
     bool ``(h, w)``, in the field of view and in the mask), ``inverse_depth``
@@ -55,14 +55,14 @@ class OmniStereoDataset(Dataset[Sample]):
         split: "train", "val" or "test" as far as the protocol has them, or "all" frames with ground truth
             in ``root``.
         protocol: whose splits: "paper" (IcoSweepNet) or "official"; see ``split_frames``.
-        dataset: "omnithings", "omnihouse", "sunny", "cloudy" or "sunset"; says which frames a split means.
+        dataset: "omnithings", "omnihouse", "sunny", "cloudy" or "sunset", whose frames a split means.
         release: "png" or "tiff"; needed only where one folder holds both.
-        min_depth: metres. The PNG release does not say it: 0.55 m unless given. The TIFF release says it in
-            config.yaml, 1.65 m; a value given here takes precedence.
+        min_depth: metres; by default 0.55 m for the PNG release, which does not store it, and for the TIFF
+            release the value in its config.yaml, 1.65 m.
         translation_unit: of poses.txt: "cm" in the published sets, "mm" in real captures of the same group,
             or "m".
-        max_angle: half the field of view in radians, where the calibration does not say it (the PNG
-            release; 220 degrees unless given).
+        max_angle: half the field of view in radians, for the PNG release, whose calibration lacks it; half of
+            220 degrees unless given.
         missing: "error", or "skip" to go without frames of the split that are not there (a partial copy).
         transform: callable that gets each sample and returns what the data set shall return.
 

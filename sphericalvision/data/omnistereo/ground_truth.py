@@ -75,7 +75,7 @@ def png_from_inverse_depth(
 
 
 def read_ground_truth(path: str | Path, min_depth: float) -> GroundTruth:
-    """Read ground truth of either encoding, told apart by what the file holds.
+    """Read ground truth of either encoding, which is recognised by the file's content.
 
     Args:
         path: 16-bit PNG or float TIFF of one or two pages.

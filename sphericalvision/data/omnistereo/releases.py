@@ -105,12 +105,12 @@ RELEASES = {
 
 
 def find_release(root: str | Path, name: str | None = None) -> Release:
-    """Tell which release lies in a folder, by its ground-truth folder and its calibration file.
+    """Return the release in a folder, recognised by its ground-truth folder and its calibration file.
 
     Raises:
         MissingFileError: no such folder, or it holds neither release; the message lists what is expected.
         FileFormatError: ground truth of one release with the calibration of the other.
-        ArgumentError: both releases lie there and ``name`` does not say which one to read.
+        ArgumentError: both releases are there and ``name`` is None.
     """
     root = Path(root)
     if name is not None:

@@ -51,7 +51,7 @@ def write_omnistereo(
 ) -> list[str]:
     """Write frames and calibration so that ``OmniStereoDataset(root, split="all")`` reads them back.
 
-    Lengths are written as they are: a scene of one's own has one scale, and both releases of it the same.
+    Lengths are written unchanged: both releases of your own scene have one scale.
     Images lose half a grey level, the PNG release's inverse depth half of 1 / (65500 * min_depth) 1/m, the
     TIFF release's nothing. Cameras that are no ``OCamCamera`` are written as OCam fits (within 0.1 px); rigs with
     panoramas, which have none, as this package's own YAML, in the TIFF release. Masks are part of the TIFF release
@@ -224,7 +224,7 @@ def _alike(first: CameraRig, second: CameraRig, layout: Release) -> bool:
     rays = Icosphere(3, torch.float64).vertices
     for name in first.names:
         (pixels, seen), (others, also) = (rig.cameras[name].project(rays) for rig in (first, second))
-        if layout.name == "tiff" and bool((seen != also).any()):  # ocam*.txt does not tell the field of view
+        if layout.name == "tiff" and bool((seen != also).any()):  # ocam*.txt does not hold the field of view
             return False
         if bool(((pixels - others)[seen & also].abs() > _SAME_PIXEL).any()):
             return False

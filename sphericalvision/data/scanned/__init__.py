@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Real captures with the points of a scanner: published sets, a file for each, and one's own."""
+"""Real captures with the points of a scanner: published sets, a file for each, and your own."""

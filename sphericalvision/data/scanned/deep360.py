@@ -98,7 +98,7 @@ class Deep360Dataset(ScannedFrames):
         return torch.rot90(upright, 1, (1, 2)).contiguous()
 
     def points(self, name: str) -> Tensor:
-        """What camera 1's map of depth says."""
+        """Points of camera 1's map of depth."""
         path, size = self.truths[name], self.rays.shape[1::-1]
         arrays = read_npz(path, ["arr_0"], 128 * math.prod(size), "depth")
         depth = arrays["arr_0"].squeeze()

@@ -121,7 +121,7 @@ class HelvipadDataset(ScannedFrames):
         self.fixed_rig = CameraRig(dict.fromkeys(cameras, camera), poses)
 
     def points(self, name: str) -> Tensor:
-        """What the bottom camera's map of depth says."""
+        """Points of the bottom camera's map of depth."""
         depth = self._depth(name, self.truth_folder)
         return (depth[..., None] * self.strip.directions)[depth > 0]
 

@@ -78,7 +78,7 @@ class OmniPusDataset(ScannedFrames):
         self.take(frames, "omnipus{a,b,c}/omnipusX_caseN with images and omnidepth_gt")
 
     def points(self, name: str) -> Tensor:
-        """What the map of inverse depth says, around the rig's centre."""
+        """Points of the map of inverse depth around the rig's centre."""
         inverse_depth = read_raster(self.truths[name], 1.0, TRUTH_SIZE, "inverse depth")
         valid = inverse_depth.isfinite() & (inverse_depth > 0)
         return self.truth.directions[valid] / inverse_depth[valid][:, None] + self.fixed_rig.center

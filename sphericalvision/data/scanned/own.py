@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A capture of one's own with a scan for each frame: ``sphericalvision-evaluate data=scanned``."""
+"""Your own capture with a scan for each frame: ``sphericalvision-evaluate data=scanned``."""
 
 from __future__ import annotations
 

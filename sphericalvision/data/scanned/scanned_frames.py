@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``ScannedFrames``: what captures with scanned points share, whatever their layout."""
+"""``ScannedFrames``: the base of captures with scanned points."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class ScannedFrames(Dataset[Sample]):
     """Frames with images of a rig and scanned points; the truth is what is seen of the points from the rig's centre.
 
     Samples are those of ``OmniStereoDataset``, with the truth on a panorama of the whole sphere. A layout is a
-    subclass that finds ``names`` and ``images``, and tells the ``points`` of a frame and, where it is not the same for
-    all, its ``rig``. All of them take these arguments, and some of their own.
+    subclass that finds ``names`` and ``images``, and returns the ``points`` of a frame and, if frames differ in it,
+    its ``rig``. Each takes these arguments and further ones.
 
     Args:
         root: folder of the set.
@@ -41,7 +41,7 @@ class ScannedFrames(Dataset[Sample]):
     Attributes:
         names: of the frames.
         images: frame -> camera name -> file.
-        truths: frame -> file that its points are from, where ``take`` is told.
+        truths: frame -> file of its points, if ``take`` was called.
         fixed_rig: of all frames, if it is the same.
         left_out: sentences about frames that lack something.
 

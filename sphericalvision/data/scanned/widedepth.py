@@ -3,8 +3,8 @@
 
 Convention:
     ``CENTER`` is the origin; ``RIGHT`` stands a baseline to the right of it, ``DOWN`` a baseline below; all are turned
-    alike. Depth is metres along the ray. The set tells no lens: equidistant, with its field of view from the left to
-    the right edge, unless a calibration is given.
+    alike. Depth is metres along the ray. The set has no calibration: unless one is given, the lens is taken for
+    equidistant, with its field of view from the left to the right edge.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class WideDepthDataset(ScannedFrames):
         return FisheyeCamera("equidistant", [width / angle] * 2, center, (height, width), angle / 2)
 
     def points(self, name: str) -> Tensor:
-        """What the map of depth of the camera in the centre says."""
+        """Points of the centre camera's map of depth."""
         camera = self.fixed_rig.cameras["center"]
         depth = read_raster(self.truths[name], 1000.0, camera.image_size, "depth")
         valid = (depth > 0) & self.rays.valid

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Triangles of an icosphere made ready for rays: weights as matrices, neighbours, and where to begin to look.
+"""Tables of an icosphere's triangles for many rays: matrices of weights, neighbours, and cells to start from.
 
 A ray is a combination of the corners of a triangle, and a 3 x 3 matrix gives its coefficients. Divided by their sum
 they are the weights; where all are positive the ray goes through the triangle, and where one is not, through a
@@ -27,11 +27,11 @@ from sphericalvision.tables import constant_table
 #: Cells along an edge of the octahedron: six for each triangle up to so many, at finer levels one and a half: a cell is
 #: always smaller than a triangle.
 CELLS, MANY_CELLS, FEWEST = 8, 512, 4
-#: Steps across edges before the way down is taken after all.
+#: Steps across edges before the descent is used instead.
 STEPS = 16
 #: Steps where the loop cannot depend on the rays, as in exported programs: around a corner from the middle of a cell.
 FEW_STEPS = 3
-#: Level up to which cells are looked up by the way down.
+#: Level up to which the triangles of cells are found by the descent.
 FIRST = 1
 
 
@@ -78,7 +78,7 @@ def find_triangles(
     if guess is None:
         guess = table.cells.index_select(0, cell_numbers(rays, table.resolution))
     triangles, shares = guess, coefficients(rays, guess, table)
-    if rays.is_meta:  # shapes alone: nobody knows which rays lie elsewhere
+    if rays.is_meta:  # only shapes: which rays lie elsewhere is unknown
         return triangles, shares
     outside = _outside(shares, table.level)
     where, astray, now, weights = outside, rays, triangles, shares
@@ -133,7 +133,7 @@ def find_in_few_steps(
 
 @constant_table
 def _matrix_rows(level: int, dtype: torch.dtype, device: torch.device) -> Tensor:
-    """Matrices of ``triangle_table``, one beside the other in memory: ``(T, 9)``."""
+    """Matrices of ``triangle_table``, each contiguous in memory: ``(T, 9)``."""
     return triangle_table(level, dtype, device).matrices.view(9, -1).T.contiguous()
 
 
@@ -174,7 +174,7 @@ def _without_cells(level: int, dtype: torch.dtype) -> TriangleTable:
 
 
 def _neighbors(level: int) -> Tensor:
-    """Triangles ``(3 * T,)`` opposite to the corners: in the chart, and across its borders in the charts beside it.
+    """Triangles ``(3 * T,)`` opposite to the corners: in the chart, and across its borders in the adjacent charts.
 
     In the order of ``icosphere_faces`` the corners are north-west, north-east, south-west for the first triangle of a
     cell and south-east, south-west, north-east for the second.

@@ -18,11 +18,7 @@ UNSUPPORTED = (nn.ConvTranspose2d, nn.Fold, nn.Unfold, nn.FractionalMaxPool2d)
 
 
 class PaddedConv2d(nn.Module):
-    """A planar convolution whose padding is another module; names of parameters are those of the convolution.
-
-    Args:
-        convolution: its weight and bias are shared, its own padding is not used.
-        pad: applied before; by default none.
+    """A planar convolution, of the same parameters and names, with the module ``pad`` in place of its padding.
 
     Examples:
         >>> layer = PaddedConv2d(nn.Conv2d(3, 8, 3), EquirectangularPad2d(1))
@@ -50,8 +46,8 @@ def make_seamless(
     """Replace the padding of every 2D convolution and pooling in a planar network.
 
     The network is changed in place, as by ``torch.nn.SyncBatchNorm.convert_sync_batchnorm``; its parameters stay the
-    same tensors under the same names, so weights load before and after. Padding that is a module of its own
-    (``nn.ZeroPad2d`` and so on) is replaced, too.
+    same tensors under the same names, so weights load before and after. Separate padding modules (``nn.ZeroPad2d``
+    and so on) are replaced, too.
 
     Args:
         module: planar network.

@@ -42,7 +42,7 @@ class Equirectangular(GridModule):
 
     Args:
         height: number of rows, from the highest latitude to the lowest.
-        width: number of columns, over 360° of longitude or as many as ``longitudes`` says.
+        width: number of columns, over 360° or between the limits of ``longitudes``.
         dtype: of the directions; the default dtype of torch when not given.
         device: of all tables.
         max_latitude: in radians, of the upper edge, and of the lower one below the horizon; π/2 if not given.
@@ -213,7 +213,7 @@ class Equirectangular(GridModule):
         return row.clamp(0, self.height - 1) * self.width + column.clamp(0, self.width - 1)
 
     def rows_of(self, panorama: Shaped[Tensor, "*batch h w"]) -> Shaped[Tensor, "*batch rows w"]:
-        """Return this grid's rows ``(*, height, width)`` of a panorama of its own or of the whole sphere.
+        """Return this grid's rows ``(*, height, width)`` of a panorama of its size or of the whole sphere.
 
         Raises:
             ShapeError: if the panorama's pixels are not those of this grid.
@@ -235,7 +235,7 @@ class Equirectangular(GridModule):
 
     @property
     def image_edges(self) -> str:
-        """How ``image`` goes on beyond its edges: ``"sphere"``, ``"around"`` without the poles, or ``"border"``."""
+        """How ``image`` continues beyond its edges: ``"sphere"``, ``"around"`` without the poles, or ``"border"``."""
         if not goes_around(self.longitudes):
             return "border"
         return "sphere" if self.latitudes == ALL_LATITUDES else "around"

@@ -136,8 +136,8 @@ class Healpix(GridModule):
     ) -> tuple[Int[Tensor, "*batch 4"], Float[Tensor, "*batch 4"]]:
         """Return four pixels ``(*, 4)`` around each direction and their weights ``(*, 4)``, which sum to one.
 
-        Two neighbours on the ring above and two on the ring below. Beyond the first and the last ring the mean of its
-        four pixels stands for the pole. Weights are differentiable in the directions.
+        Two neighbours on the ring above and two on the ring below. Beyond the first and the last ring the pole has the
+        mean of the ring's four pixels. Weights are differentiable in the directions.
 
         Args:
             directions: ``(*, 3)`` of any length but zero.
@@ -207,7 +207,7 @@ class Healpix(GridModule):
     def _on_ring(
         self, ring: Tensor, longitude: Tensor, chords: bool
     ) -> tuple[tuple[Tensor, Tensor], Tensor, Tensor]:
-        """Two pixels of rings ``(n,)`` beside longitudes, the second's share, and the angle from the north pole.
+        """Two pixels of rings ``(n,)`` on either side of longitudes, the second's share, and the ring's polar angle.
 
         A ring's angle differs from one longitude to the next where it is a polygon of chords.
         """

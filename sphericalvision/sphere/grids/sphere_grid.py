@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``SphereGrid``: what every grid of directions offers, whatever its shape."""
+"""``SphereGrid``: the interface of all grids of directions."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ class SphereGrid(Protocol):
     these members is one too, without inheriting.
 
     ``resample`` uses more of a grid that has it: ``image`` and ``image_pixels`` (values as an image in which to
-    interpolate, and ``image_edges`` where it goes on beyond its edges) or ``locate`` (ids and weights) to make tables
-    once, ``cell_samples`` to average over cells, and ``cell_widths`` where solid angles do not tell how dense the
-    values are. A grid that does not cover the sphere says where it has values: ``contains(directions)``.
+    interpolate, and ``image_edges`` if it continues beyond its edges) or ``locate`` (ids and weights) to make tables
+    once, ``cell_samples`` to average over cells, and ``cell_widths`` if the spacing of values does not follow from
+    solid angles. A grid that does not cover the sphere has ``contains(directions)``.
 
     Examples:
         >>> from sphericalvision.icosphere import Icosphere
@@ -83,17 +83,17 @@ class SphereGrid(Protocol):
         """Return the index ``(*)``, into the flattened grid, of the value in whose cell ``(*, 3)`` lies.
 
         That is the value nearest by angle on an icosphere. Pixels of a panorama, a cube map, HEALPix or a tangent image
-        are no Voronoi cells: beside their edges another centre may be nearer, by less than a pixel. A NaN is refused.
+        are no Voronoi cells: near their edges another centre may be closer, by less than a pixel. A NaN is refused.
         """
 
 
 class GridModule(nn.Module):
-    """What the grids of this package share; their tables move with ``.to`` and are not saved."""
+    """Base of the grids of this package; their tables move with ``.to`` and are not saved."""
 
     directions: Tensor
 
     def _make_directions(self: Any, dtype: torch.dtype | None, device: torch.device | str | None) -> None:
-        """The middles of the cells, exact in float64, as the buffer ``directions`` in ``dtype``."""
+        """Register the cells' centres, computed in float64, as the buffer ``directions`` in ``dtype``."""
         if dtype is not None:
             size = "×".join(map(str, self.shape))
             check_type("dtype", dtype, torch.dtype, f"this grid is {size}, and a further size is not taken")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robust means over views: how much a pixel counts, and how much less where its view disagrees with the others."""
+"""Robust means over views: the weights of pixels, lower where a view disagrees with the others."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def mean_and_squares(values: Tensor, weights: Tensor, dims: int) -> tuple[Tensor
 def cauchy_weights(squared: Tensor, weights: Tensor, dims: int) -> Tensor:
     """Cauchy's weights 1 / (1 + r² / s²) of squared deviations r², with their mean s where views overlap.
 
-    Each sample of the batch has an s of its own. Where a view is alone its deviation is 0, and would make s too small.
+    There is one s for each sample of the batch. A single view has the deviation 0, which would make s too small.
     """
     overlaps = weights * ((weights > 0).sum(0) > 1)
     sums = (0, *range(-1 - dims, 0))

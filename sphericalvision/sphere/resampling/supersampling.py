@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The part of the sphere that each value of a grid or pixel of a camera stands for."""
+"""Cells of grids and cameras: directions spread over them, their widths and solid angles."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ class Views:
     Args:
         images: ``(*b, c, h, w)`` of each camera, by name or in the rig's order; floating point.
         rig: cameras, their orientations and masks; where the cameras stand matters for ``merge(center=...)`` alone.
-        target: of ``merge`` if it is told none; a panorama as fine as the cameras in their middle if not given.
+        target: default of ``merge``; a panorama with the cameras' resolution in their middle if not given.
 
     Raises:
         ArgumentError: the number or the names of the images are not those of the rig, or the rig is a batch.
@@ -81,13 +81,13 @@ class Views:
         disparities: Sequence[Float[Tensor, "*#b _ _"]],
         target: SphereGrid | Camera | None = None,
     ) -> Views:
-        """The distances that rectified pairs tell, seen from their left cameras, for ``merge`` with
+        """The distances measured by rectified pairs, seen from their left cameras, for ``merge`` with
         ``quantity="range"``, ``align=False`` and ``center=rig.center``.
 
         Args:
             pairs: of one rig.
             disparities: ``(*b, h, w)`` of each pair's left image, in pixels; what is below 0 or NaN is unknown.
-            target: of ``merge`` if it is told none.
+            target: default of ``merge``.
 
         Examples:
             >>> from sphericalvision.cameras import rectified_pairs, ring_rig
@@ -115,18 +115,18 @@ class Views:
 
     @property
     def target(self) -> SphereGrid | Camera:
-        """The grid or camera onto which ``merge`` goes if it is told none."""
+        """The default target of ``merge``."""
         if self._target is not None:
             return self._target
         rows = round(math.pi * _fineness(self.rig))
         return EquirectangularCamera((rows, 2 * rows))
 
     def map(self, function: Callable[[Tensor], Tensor], batch: int | None = None) -> Views:
-        """The views of what ``function`` makes of these.
+        """The views of the results of ``function``.
 
         Args:
             function: of images ``(n, c, h, w)`` to ``(n, c', h', w')`` or ``(n, h', w')``, such as a network.
-            batch: most images at once; all of one size if not given.
+            batch: maximum of images in a call; all of one size if not given.
         """
         results: list[Tensor] = []
         for _, alike in itertools.groupby(self.images, lambda image: image.shape):
@@ -169,12 +169,12 @@ class Views:
             quantity: what the images hold. ``"values"`` of any kind: colours, features, scores of classes. ``"range"``:
                 metres along each pixel's ray. ``"z"``: metres along each camera's axis, as networks for perspective
                 images estimate; the result is along the rays. Of depth, what is not above 0 is not known.
-            align: whether each view's depth has a scale of its own; these are found where views overlap, and their
-                geometric mean is kept.
+            align: whether each view's depth has its own unknown scale; these are estimated where views overlap, and
+                their geometric mean is kept.
             mode: as in ``resample``; ``"area"`` where the target is coarser.
-            center: ``(3,)`` in the world of the rig, from where depth is told. Each view counts from where its camera
-                stands then: its surface is looked up along the rays from the centre, bilinear and without gradients.
-                All from one place when not given.
+            center: ``(3,)`` in the rig's world, the origin of the merged depth. Then the cameras' positions count: each
+                view's surface is intersected with rays from the centre, bilinear and without gradients. When not
+                given, all views are taken to be from one place.
 
         Raises:
             ArgumentError: an unknown quantity, depth of several channels, or a centre for what is no depth.
@@ -222,7 +222,7 @@ class Views:
                 raise ArgumentError(f"quantity: depth has one channel, got {image.shape[-3]}")
             depth = image.squeeze(-3)
             if quantity == "z":
-                depth, _ = depth_from_z(depth, camera)  # 0 where it says nothing
+                depth, _ = depth_from_z(depth, camera)  # 0 where unknown
             usable = usable & (depth > 0) & depth.isfinite()
             # Inverse depth of a plane is linear in directions, so that interpolated planes stay planes.
             image = (1 / torch.where(usable, depth, 1.0)).unsqueeze(-3)

@@ -21,6 +21,7 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.core import ArgumentError, ArgumentTypeError, ShapeError
 from sphericalvision.icosphere import num_icosphere_vertices
+from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import (
     DepthNetwork,
     IcoSweepNet,
@@ -241,6 +242,27 @@ def law_cameras_in_any_order_and_number(example: Example) -> None:
         torch.testing.assert_close(one, other, rtol=0, atol=TOLERANCE)
     for count in (2, len(rig) + 2):
         assert net(*inputs(net, 1, count)).shape == (1, *net.grid.shape)
+
+
+def law_all_weights_learn_and_recomputing_changes_nothing(example: Example) -> None:
+    """Neither gradients nor statistics."""
+    net, results = example.net().train(), []
+    images, rig = inputs(net, 2)
+    index = net(images, rig)
+    target = (net.num_hypotheses - 1) * torch.rand(index.shape, generator=torch.Generator().manual_seed(1))
+    # A hint that is trusted teaches the gate for hints.
+    hint = DepthHint(net.depth(index).reciprocal(), torch.ones_like(index)) if net.takes_hints else None
+    for recompute in (False, True) if example.state else ():
+        net.load_state_dict(example.state)
+        net.configure(recompute=recompute).zero_grad()
+        torch.manual_seed(0)  # of the order of cameras
+        with torch.enable_grad():
+            net.training_loss(images, rig, None, target, target > 1, depth_index_huber, hint).backward()
+        gradients = {name: parameter.grad for name, parameter in net.named_parameters()}
+        results.append((gradients, {name: buffer.clone() for name, buffer in net.named_buffers()}))
+        if net.hyperparameters.get("iterations") != 1:  # of an index that is 0 before it
+            assert all(gradient.isfinite().all() and gradient.any() for gradient in gradients.values())
+    torch.testing.assert_close(results[:1], results[1:], rtol=1e-4, atol=1e-5)
 
 
 def law_hints_are_taken_or_refused(example: Example) -> None:

@@ -5,18 +5,22 @@ from __future__ import annotations
 
 import pytest
 import torch
+from torch import Tensor
 
 from sphericalvision.losses import depth_index_huber
 
 
+@pytest.mark.parametrize("weights", [None, torch.linspace(0, 2, 50)])
 @pytest.mark.parametrize("delta", [0.5, 1.0, 2.0])
-def test_equals_its_definition(generator: torch.Generator, delta: float) -> None:
+def test_equals_its_definition(generator: torch.Generator, delta: float, weights: Tensor | None) -> None:
     pred, target = 3 * torch.randn(2, 2, 50, generator=generator)
     mask = torch.rand(2, 50, generator=generator) > 0.4
     error = (pred - target).abs()
     losses = torch.where(error <= delta, 0.5 * error**2, delta * (error - 0.5 * delta))
-    expected = torch.stack([values[where].mean() for values, where in zip(losses, mask, strict=True)]).mean()
-    torch.testing.assert_close(depth_index_huber(pred, target, mask, delta), expected)
+    known = mask * (torch.ones(50) if weights is None else weights)
+    expected = ((losses * known).sum(1) / known.sum(1)).mean()  # of each sample, and of these
+    found = depth_index_huber(pred, target.where(mask, torch.nan), mask, delta, weights)
+    torch.testing.assert_close(found, expected)
 
 
 def test_without_a_mask_all_points_count(generator: torch.Generator) -> None:

@@ -22,6 +22,7 @@ from sphericalvision.metrics import (
     omnimvs_error,
     seam_mask,
 )
+from tests.metrics.test_depth_errors import loop_index_errors
 
 
 def count_by_loops(rig: CameraRig, directions: Tensor, inverse_depth: Tensor) -> Tensor:
@@ -69,14 +70,6 @@ def test_what_fewer_than_two_see_is_left_out_and_the_share_is_told(generator: to
     assert torch.equal(three.mask, seen_by(rig, grid.vertices, inverse_depth) >= 3)
 
 
-def test_masks_of_the_rig_count() -> None:
-    rig = ring_rig(2, image_size=(32, 32))
-    blind = CameraRig(rig.cameras, rig.world_from_camera, {"cam2": torch.zeros(32, 32, dtype=torch.bool)})
-    side = torch.tensor([[1.0, 0.0, 0.0]])
-    assert seen_by(rig, side, torch.zeros(1)).tolist() == [2]
-    assert seen_by(blind, side, torch.zeros(1)).tolist() == [1]
-
-
 def seam_points(seams: str) -> Tensor:
     """Points along the seams, a hundredth of a degree apart on the meridian, vertices of level 9 along the charts."""
     latitude = torch.linspace(-math.pi / 2, math.pi / 2, 18001, dtype=torch.float64)
@@ -105,23 +98,10 @@ def test_seams_are_where_the_borders_are(seams: str, degrees: float, generator: 
 
 def official_by_loops(pred: Tensor, target: Tensor, min_depth: float, mask: Tensor) -> dict[str, float]:
     """Rows within 45 degrees, N = 192, index not rounded, 0 <= index <= N; then per image, then over images."""
-    rows = []
     height = pred.shape[1]
-    for image in range(len(pred)):
-        errors = []
-        for row in range(height):
-            latitude = 90 - (row + 0.5) * 180 / height
-            if abs(latitude) >= 45:
-                continue
-            for p, t, m in torch.stack((pred[image, row], target[image, row], mask[image, row]), -1).tolist():
-                truth = t * 191 * min_depth
-                if m and 0 <= truth <= 192:
-                    errors.append(100 * abs(p * 191 * min_depth - truth) / 192)
-        number = len(errors)
-        above = [100 * sum(e > limit for e in errors) / number for limit in (1, 3, 5)]
-        rows.append([*above, sum(errors) / number, math.sqrt(sum(e * e for e in errors) / number)])
-    means = [sum(column) / len(column) for column in zip(*rows, strict=True)]
-    return dict(zip((">1", ">3", ">5", "MAE", "RMS"), means, strict=True))
+    rows = [row for row in range(height) if abs(90 - (row + 0.5) * 180 / height) < 45]
+    index, truth = (191 * min_depth * values[:, rows].flatten(1) for values in (pred, target))
+    return loop_index_errors(index, truth, mask[:, rows].flatten(1) & (truth >= 0) & (truth <= 192), 192)
 
 
 def test_the_official_protocol_equals_loops(generator: torch.Generator) -> None:

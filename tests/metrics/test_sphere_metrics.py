@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.losses import depth_index_huber, solid_angle_mean
+from sphericalvision.losses import solid_angle_mean
 from sphericalvision.metrics import SolidAngleIoU, SolidAngleMean, angular_error
 from sphericalvision.sphere import Cubemap, Equirectangular, Healpix, SphereGrid
 
@@ -86,17 +86,4 @@ def test_angles_between_directions_are_exact_where_they_are_small() -> None:
     tilted = torch.stack((torch.zeros(4), -angle.sin(), angle.cos()), -1)
     torch.testing.assert_close(
         angular_error(3 * tilted, torch.tensor([0.0, 0.0, 1.0])), angle, rtol=1e-5, atol=1e-6
-    )
-
-
-def test_huber_loss_with_weights(generator: torch.Generator) -> None:
-    pred, target = 3 * torch.randn(2, 2, 162, generator=generator)
-    mask = torch.rand(2, 162, generator=generator) > 0.4
-    angles = Icosphere(2).solid_angles
-    error = (pred - target).abs()
-    losses = torch.where(error <= 1, 0.5 * error**2, error - 0.5)
-    known = mask * angles
-    expected = ((losses * known).sum(1) / known.sum(1)).mean()  # of each sample, and of these
-    torch.testing.assert_close(
-        depth_index_huber(pred, target.where(mask, torch.nan), mask, weights=angles), expected
     )

@@ -6,26 +6,15 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
-from torch.utils._python_dispatch import TorchDispatchMode
 
 from sphericalvision.models import ConstantDepth
 from sphericalvision.models.weights import network_names
 from sphericalvision.models.weights.registry import network_class
 from tests.laws.network_laws import LAWS, NETWORKS, inputs
-
-
-class Launches(TorchDispatchMode):
-    """Counts the operators that a device would be asked for; views ask for nothing."""
-
-    number = 0
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        self.number += not func.is_view
-        return func(*args, **(kwargs or {}))
+from tests.models.test_one_graph import Operators
 
 
 @torch.no_grad()
@@ -54,9 +43,9 @@ def test_networks_run_on_the_meta_device_by_as_many_launches_for_any_batch(
     net, launches = net.to("meta"), []
     for batch in (2, 3):
         images = inputs(net.to("meta"), batch)[0].to("meta")
-        with Launches() as counted:
+        with Operators() as counted:
             index = net(images, tables)
-        launches.append(counted.number)
+        launches.append(counted.launches)
         assert index.device.type == "meta"
         assert index.shape == (batch, *net.grid.shape)
     print(f"{name}: {launches[0]} operators a forward pass")  # the table of launches: pytest -s

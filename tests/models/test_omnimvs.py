@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.losses import depth_index_huber
 from sphericalvision.models import (
     OmniMVS,
 )
@@ -170,55 +169,6 @@ def test_seen_is_by_two_cameras_at_the_estimated_index(generator: torch.Generato
         inverse_depth = inverse_depth_from_index(nearest, 8, 0.55)
         cameras = rig.points_seen(net.grid.directions[row, column][None], inverse_depth[None])
         assert seen[0, row, column] == (cameras.sum() >= 2)
-
-
-@pytest.mark.parametrize("norm", ["batch", "instance"])
-@pytest.mark.parametrize("aggregation", ["concatenation", "variance"])
-def test_gradients_reach_every_parameter_and_recomputing_changes_nothing(
-    generator: torch.Generator, norm: str, aggregation: str
-) -> None:
-    photographs, truth = images(generator), 7 * torch.rand(2, 8, 16, generator=generator)
-    gradients = []
-    for recompute in (False, True):
-        net = small_net(norm=norm, aggregation=aggregation, num_scales=1)
-        net.configure(recompute=recompute)
-        depth_index_huber(net(photographs, small_rig()), truth).backward()
-        gradients.append({name: parameter.grad for name, parameter in net.named_parameters()})
-    for name, gradient in gradients[0].items():
-        assert gradient is not None, name
-        assert gradient.isfinite().all(), name
-        torch.testing.assert_close(
-            gradients[1][name], gradient, msg=lambda text, name=name: f"{name}: {text}"
-        )
-    dead = [name for name, gradient in gradients[0].items() if gradient is not None and not gradient.any()]
-    assert not dead
-
-
-def test_the_sweep_alone_finds_a_sphere_around_the_rig() -> None:
-    """A textured sphere of a metre: at its hypothesis, and at no other, the cameras that see a point agree."""
-    net = small_net(num_hypotheses=16, output_size=(16, 32))
-    rig = ring_rig(3, image_size=(120, 120), radius=0.2)
-    index = 8
-    depth = float(net.depth(torch.tensor(float(index))))
-    photographs = []
-    for pose, camera in zip(rig.world_from_camera, rig.cameras.values(), strict=True):
-        rays, seen = camera.unproject(camera.pixel_grid())
-        rays = rays @ pose[:3, :3].T
-        start = pose[:3, 3] - rig.center
-        along = (rays * start).sum(-1)
-        points = start + rays * (((along**2 - start.square().sum() + depth**2).sqrt() - along)[..., None])
-        texture = torch.sin(7 * points[..., 0] / depth) + torch.sin(
-            6 * points[..., 1] / depth + points[..., 2]
-        )
-        photographs.append(texture * seen)
-    maps = torch.stack(photographs)[None, :, None, ::2, ::2]
-    values, mask = net.sweep(maps, rig)[0, :, 0], net.sweep.tables(rig).seen
-    count = mask.sum(0)
-    mean = (values * mask).sum(0) / count.clamp(min=1)
-    variance = ((values - mean).square() * mask).sum(0) / count.clamp(min=1)
-    twice = (count >= 2).all(0)
-    assert twice.float().mean() > 0.3
-    assert (variance.argmin(0)[twice] == index // 2).float().mean() > 0.95
 
 
 def test_index_at_other_directions(generator: torch.Generator) -> None:

@@ -3,9 +3,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import numpy as np
 import pytest
 import torch
 
@@ -41,13 +38,6 @@ def test_convention_hypotheses() -> None:
     torch.testing.assert_close(
         depth_from_index(indices, 8, 0.55), torch.tensor(depths, dtype=DOUBLE), rtol=1e-8, atol=0
     )
-
-
-def test_equals_reference(golden: Path) -> None:
-    sweep = np.load(golden / "sweep.npz")
-    found = inverse_depth_hypotheses(8, 0.55, DOUBLE)
-    torch.testing.assert_close(found, torch.tensor(sweep["inv_depths"]), rtol=0, atol=1e-14)
-    torch.testing.assert_close(1 / found, torch.tensor(sweep["depths"]), rtol=1e-12, atol=0)
 
 
 @pytest.mark.parametrize(("number", "min_depth"), [(2, 0.1), (16, 0.55), (192, 1.65)])

@@ -3,24 +3,15 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 import torch
-from torch import Tensor
 
 from sphericalvision.cameras import CameraRig
 from sphericalvision.sweep import PanoramaSweep, inverse_depth_hypotheses
-from tests.laws.grid_laws import UP, rotation_about
 from tests.sweep.test_sphere_sweep import random_rig
 
 DOUBLE = torch.float64
 SIZE = (40, 46)
-
-
-def yaw(columns: int, width: int) -> Tensor:
-    """Turn the world about the vertical so that a panorama of it moves to the right by ``columns``."""
-    return rotation_about(-UP, 2 * math.pi * columns / width)
 
 
 @pytest.mark.parametrize("stride", [1, 2, 3])
@@ -40,15 +31,6 @@ def test_maps_of_the_pixels_give_the_pixels_of_the_points(generator: torch.Gener
         last = torch.tensor([s - 1 - (s - 1) % stride for s in SIZE[::-1]], dtype=DOUBLE)
         expected = torch.minimum(pixels.clamp(min=0), last) * seen[..., None]
         torch.testing.assert_close(values[k].permute(1, 2, 3, 0), expected, rtol=0, atol=1e-4)
-
-
-def test_turning_rig_and_panorama_by_whole_pixels_rolls_the_sweep(generator: torch.Generator) -> None:
-    rig = random_rig(generator, SIZE)
-    sweep = PanoramaSweep((8, 16), num_hypotheses=6, min_depth=0.5)
-    maps = torch.randn(1, 3, 2, SIZE[0] // 2, SIZE[1] // 2, dtype=DOUBLE, generator=generator)
-    for columns in (1, 5, 8):
-        turned = sweep(maps, rig.rotated(rotation=yaw(columns, 16)))
-        torch.testing.assert_close(turned, sweep(maps, rig).roll(columns, -1), rtol=0, atol=1e-6)
 
 
 def test_masked_pixels_are_out_of_view(generator: torch.Generator) -> None:

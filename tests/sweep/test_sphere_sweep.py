@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 
 import pytest
 import torch
@@ -14,7 +13,7 @@ from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.kernels import reference_kernels
-from sphericalvision.sweep import SphereSweep, depth_from_index, inverse_depth_hypotheses
+from sphericalvision.sweep import SphereSweep, depth_from_index
 
 DOUBLE = torch.float64
 
@@ -73,35 +72,6 @@ def test_convention_depth_is_along_the_ray() -> None:
     torch.testing.assert_close(values[:, 2], torch.ones(4, dtype=DOUBLE), rtol=0, atol=2e-2)
 
 
-def test_infinity_looks_in_the_same_direction_from_everywhere(generator: torch.Generator) -> None:
-    """Camera icospheres are aligned with the world, so at infinity the sweep copies the values of every camera."""
-    rig = ring_rig(3, field_of_view=2 * math.pi).to(dtype=DOUBLE)
-    features = torch.randn(1, 3, 2, 162, dtype=DOUBLE, generator=generator)
-    values = SphereSweep(2, 4, 0.5)(features, rig).values
-    torch.testing.assert_close(values[..., 0, :], features, rtol=0, atol=1e-5)
-
-
-def test_a_rig_a_sample_equals_one_sample_at_a_time(generator: torch.Generator) -> None:
-    rigs = [random_rig(generator) for _ in range(2)]
-    sweep = SphereSweep(2, 4, 0.5)
-    features = torch.randn(2, 3, 2, 162, dtype=DOUBLE, generator=generator)
-    together = sweep(features, CameraRig.stack(rigs))
-    for sample, rig in enumerate(rigs):
-        alone = sweep(features[sample : sample + 1], rig)
-        torch.testing.assert_close(together.values[sample], alone.values[0])
-        assert torch.equal(together.seen[sample], alone.seen[0])
-
-
-def test_moving_the_whole_world_moves_nothing_else(generator: torch.Generator) -> None:
-    rig = random_rig(generator)
-    sweep = SphereSweep(2, 4, 0.5)
-    shift = torch.eye(4, dtype=DOUBLE)
-    shift[:3, 3] = torch.tensor([3.0, -1.0, 2.0])
-    features = torch.randn(1, 3, 2, 162, dtype=DOUBLE, generator=generator)
-    moved = sweep(features, CameraRig(rig.cameras, shift @ rig.world_from_camera))
-    torch.testing.assert_close(moved.values, sweep(features, rig).values)
-
-
 def test_order_of_cameras(generator: torch.Generator) -> None:
     rig = random_rig(generator)
     sweep = SphereSweep(2, 4, 0.5)
@@ -142,28 +112,6 @@ def test_gradients_of_features_and_poses(generator: torch.Generator) -> None:
     with reference_kernels():
         torch.testing.assert_close(swept(features, shift), expected)
         assert torch.autograd.gradgradcheck(swept, (features, shift), fast_mode=True)
-
-
-def test_interpolation_error_falls_fourfold_a_level() -> None:
-    """Exact point location is of second order in the edge length."""
-    rig = ring_rig(4, field_of_view=2 * math.pi).to(dtype=DOUBLE)
-    directions = Icosphere(3, DOUBLE).vertices
-    offsets = rig.center - rig.positions
-    inverse_depths = inverse_depth_hypotheses(4, 0.55, DOUBLE)
-    rays = directions + inverse_depths[:, None, None] * offsets[:, None, None]
-    truth = smooth(torch.nn.functional.normalize(rays, dim=-1))
-    errors = []
-    for level in (3, 4, 5, 6):
-        features = smooth(Icosphere(level, DOUBLE).vertices).expand(1, 4, 1, -1)
-        values = SphereSweep(3, 4, 0.55, feature_level=level)(features, rig).values[0, :, 0]
-        errors.append((values - truth).abs().mean())
-    ratios = [a / b for a, b in pairwise(errors)]
-    assert all(3.5 < ratio < 4.5 for ratio in ratios), ratios
-
-
-def smooth(directions: Tensor) -> Tensor:
-    x, y, z = directions.unbind(-1)
-    return x * y + torch.sin(3 * z) + z**2 * x
 
 
 @pytest.mark.parametrize("finer", [0, 1, 2])

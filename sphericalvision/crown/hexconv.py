@@ -38,10 +38,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_dtype
+from sphericalvision.crown.charts import chart_vertices
 from sphericalvision.crown.fast import hex_convolve2d, hex_convolve3d
 from sphericalvision.crown.taps import HexagonWeights, check_stride
 from sphericalvision.icosphere import icosphere_vertices, level_from_num_vertices
-from sphericalvision.icosphere.topology import vertex_at
 from sphericalvision.shapes import check_shapes
 
 ORIENTATIONS = ("chart", "north")
@@ -68,22 +68,9 @@ def north_fraction(
 @lru_cache(maxsize=16)
 def _north_fraction(level: int) -> Tensor:
     n = 2**level
-    vertices = icosphere_vertices(level, torch.float64)
-    chart = torch.arange(5)[:, None, None]
-    row, column = torch.arange(1, 2 * n + 1)[:, None], torch.arange(n)
-    center, up = (vertices[vertex_at(chart, row - step, column, level)] for step in (0, 1))
-    # West of column 0 lies the first row of the chart before, then its last column.
-    west_row = torch.where(row <= n, 1, row - n)
-    west_column = torch.where(row <= n, row - 1, n - 1)
-    at_edge = column == 0
-    neighbor = vertices[
-        vertex_at(
-            torch.where(at_edge, (chart - 1) % 5, chart),
-            torch.where(at_edge, west_row, row),
-            torch.where(at_edge, west_column, column - 1),
-            level,
-        )
-    ]
+    charts = icosphere_vertices(level, torch.float64)[chart_vertices(level, torch.device("cpu"))]
+    # Of the neighbours of taps 5 and 0, which are north and west in the chart.
+    center, up, neighbor = charts[:, 1:-1, 1:-1], charts[:, :-2, 1:-1], charts[:, 1:-1, :-2]
     north = torch.tensor([0.0, -1.0, 0.0], dtype=torch.float64).expand_as(center)
 
     def angle(start: Tensor, end: Tensor) -> Tensor:

@@ -58,7 +58,7 @@ convolve_rectangles = Operator(
     differentiable_triton=True,
 )
 convolve_vertices = Operator(_convolve_vertices, cpp=cpp.convolve_vertices)
-normalize = Operator(statistics.normalize, cpp=cpp.normalize, fused=lookups.normalize)
+normalize = Operator(statistics.normalize, cpp=cpp.normalize_and_convolve, fused=lookups.normalize)
 normalize_and_convolve = Operator(_normalize_and_convolve, cpp=cpp.normalize_and_convolve)
 hex_convolve2d = Operator(
     hexagons.hexagons2d,

@@ -147,15 +147,17 @@ def _convolve_at(
     return _outward(result.unflatten(0, (-1, 5)), values.ndim + 2)
 
 
-def normalize(col: Tensor, row: Tensor, norm: CrownNorm, relu: bool) -> Pair:
-    """Normalise rectangles as ``statistics.normalize`` does, in two passes over memory each way."""
-    return normalize_and_convolve(col, row, norm, relu, None, None)
-
-
 def normalize_and_convolve(
-    col: Tensor, row: Tensor, norm: CrownNorm, relu: bool, weight: Tensor | None, bias: Tensor | None
+    col: Tensor,
+    row: Tensor,
+    norm: CrownNorm,
+    relu: bool,
+    weight: Tensor | None = None,
+    bias: Tensor | None = None,
 ) -> Pair:
-    """Normalise and rectify rectangles, and convolve them at stride 1: what is convolved is never written."""
+    """Normalise rectangles as ``statistics.normalize`` does, in two passes over memory each way, and, given a weight,
+    convolve them at stride 1 while they are read: the normalised rectangles are never written.
+    """
     if norm.weight is None or norm.groups > 1 or not _operators_fit(col, norm.weight):
         return NotImplemented
     if weight is not None and not _operators_fit(col, weight):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Adjacency on an icosphere: neighbours, edges, and the faces around vertices and across edges.
 
-Everything follows from the *half-edges*: half-edge ``3 * face + corner`` runs from that corner of the face to the next
-one, counter-clockwise seen from outside, and its twin runs back in the face across the edge.
+What is around a vertex follows from the *half-edges*: half-edge ``3 * face + corner`` runs from that corner of the face
+to the next one, counter-clockwise seen from outside.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from sphericalvision.icosphere.topology import chart_vertex_ids, icosphere_faces, num_icosphere_vertices
+from sphericalvision.icosphere.topology import chart_vertex_ids, check_level, icosphere_faces
 from sphericalvision.tables import constant_table, copied
 
 
@@ -68,12 +68,23 @@ def icosphere_face_neighbors(level: int, device: torch.device | str | None = Non
         >>> icosphere_face_neighbors(0)[0].tolist()  # of the face of the vertices 0, 3, 1
         [4, 1, 16]
     """
-    faces = icosphere_faces(level, device)
-    count = num_icosphere_vertices(level)
-    start, end = faces.flatten(), faces.roll(-1, 1).flatten()
-    key, order = torch.sort(start * count + end)
-    twin = order[torch.searchsorted(key, end * count + start)]
-    return (twin // 3).view(-1, 3)
+    n = 2 ** check_level(level)
+    own = torch.arange(20 * n * n, device=device).view(5, 2 * n, n, 2)
+    first, second = own.unbind(-1)
+    east, west = own.roll(-1, 0), own.roll(1, 0)  # the next chart and the one before
+    across = own.new_empty(5, 2 * n, n, 2, 3)
+    # Edge 12 is the anti-diagonal of a cell, which its two faces share.
+    across[..., 0, 1], across[..., 1, 1] = second, first
+    to_north, to_west = across[..., 0, 0], across[..., 0, 2]
+    to_south, to_east = across[..., 1, 0], across[..., 1, 2]
+    to_west[:, :, 1:], to_east[:, :, :-1] = second[:, :, :-1], first[:, :, 1:]
+    to_north[:, 1:], to_south[:, :-1] = second[:, :-1], first[:, 1:]
+    # As in ``vertex_at``: the north edge is the upper left edge of the next chart; the east edge is its lower left
+    # edge, then its last row.
+    to_north[:, 0], to_west[:, :n, 0] = east[:, :n, 0, 0], west[:, 0, :, 0]
+    to_east[:, :n, -1], to_west[:, n:, 0] = east[:, n:, 0, 0], west[:, :n, -1, 1]
+    to_east[:, n:, -1], to_south[:, -1] = east[:, -1, :, 1], west[:, n:, -1, 1]
+    return across.view(-1, 3)
 
 
 def _half_edges_around(faces: Tensor) -> Tensor:

@@ -8,7 +8,6 @@ import torch
 import torch.nn.functional as F
 
 from sphericalvision.icosphere import Icosphere
-from sphericalvision.icosphere.adjacency import icosphere_face_neighbors
 from sphericalvision.icosphere.descent import descend
 from sphericalvision.icosphere.fast.octahedron import cell_centers, cell_numbers
 from sphericalvision.icosphere.fast.triangle_table import (
@@ -19,13 +18,6 @@ from sphericalvision.icosphere.fast.triangle_table import (
 )
 
 CPU = torch.device("cpu")
-
-
-@pytest.mark.parametrize("level", [0, 1, 2, 4])
-def test_neighbors_are_those_of_the_half_edges(level: int) -> None:
-    """Corner 0 is opposite to the edge 12."""
-    neighbors = triangle_table(level, torch.float64, CPU).neighbors.view(-1, 3)
-    assert torch.equal(neighbors.roll(1, 1).long(), icosphere_face_neighbors(level))
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])

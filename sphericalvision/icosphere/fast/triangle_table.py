@@ -18,6 +18,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from sphericalvision.geometry.lookup import read_entries
+from sphericalvision.icosphere.adjacency import icosphere_face_neighbors
 from sphericalvision.icosphere.descent import convex, descend
 from sphericalvision.icosphere.fast.octahedron import cell_centers, cell_numbers
 from sphericalvision.icosphere.mesh import icosphere_vertices
@@ -170,31 +171,8 @@ def _without_cells(level: int, dtype: torch.dtype) -> TriangleTable:
         volume = normal[0] * u + normal[1] * v + normal[2] * w
         for component in range(3):
             matrices[component, corner] = normal[component] / volume
-    return TriangleTable(level, ids, matrices, _neighbors(level), ids.new_empty(0), 0)
-
-
-def _neighbors(level: int) -> Tensor:
-    """Triangles ``(3 * T,)`` opposite to the corners: in the chart, and across its borders in the adjacent charts.
-
-    In the order of ``icosphere_faces`` the corners are north-west, north-east, south-west for the first triangle of a
-    cell and south-east, south-west, north-east for the second.
-    """
-    n = 2**level
-    own = torch.arange(20 * n * n, dtype=torch.int32).view(5, 2 * n, n, 2)
-    first, second = own.unbind(-1)
-    east, west = own.roll(-1, 0), own.roll(1, 0)
-    adjacent = own.new_empty(5, 2 * n, n, 2, 3)
-    adjacent[..., 0, 0], adjacent[..., 1, 0] = second, first
-    to_west, to_north = adjacent[..., 0, 1], adjacent[..., 0, 2]
-    to_east, to_south = adjacent[..., 1, 1], adjacent[..., 1, 2]
-    to_west[:, :, 1:], to_east[:, :, :-1] = second[:, :, :-1], first[:, :, 1:]
-    to_north[:, 1:], to_south[:, :-1] = second[:, :-1], first[:, 1:]
-    # As in ``vertex_at``: the north edge is the upper left edge of the next chart; the east edge is its lower left
-    # edge, then its last row.
-    to_north[:, 0], to_west[:, :n, 0] = east[:, :n, 0, 0], west[:, 0, :, 0]
-    to_east[:, :n, -1], to_west[:, n:, 0] = east[:, n:, 0, 0], west[:, :n, -1, 1]
-    to_east[:, n:, -1], to_south[:, -1] = east[:, -1, :, 1], west[:, n:, -1, 1]
-    return adjacent.flatten()
+    opposite = icosphere_face_neighbors(level).roll(-1, 1).int().flatten()  # edge 12 is opposite to corner 0
+    return TriangleTable(level, ids, matrices, opposite, ids.new_empty(0), 0)
 
 
 def _cells(table: TriangleTable) -> Tensor:

@@ -32,7 +32,6 @@ class MaskedLookup(PlacesInSinglePrecision):
     valid: Tensor | None
     usable: Tensor | None
     gain: Tensor | None
-    filling: Tensor | None
 
     def __init__(
         self,
@@ -60,8 +59,6 @@ class MaskedLookup(PlacesInSinglePrecision):
         self.register_buffer("gain", gain, persistent=False)
         if self.valid is not None and self.valid.device.type != "meta" and bool(self.valid.all()):
             self.valid = None
-        filling = None if self.valid is None or fill == 0 or self.picks else self._filling(self.valid)
-        self.register_buffer("filling", filling, persistent=False)
 
     def forward(
         self, values: Shaped[Tensor, " ..."], mask: Shaped[Tensor, " ..."] | None = None
@@ -83,8 +80,7 @@ class MaskedLookup(PlacesInSinglePrecision):
         result, valid = self.means(in_single_precision(values), mask)
         if valid is not None and self.fill != 0:
             # Zeros stand there: a sum is faster than a choice in all channels.
-            filling = self._filling(valid) if mask is not None or self.filling is None else self.filling
-            result = result + filling.to(result.dtype).unsqueeze(-2)
+            result = result + torch.where(valid, 0.0, self.fill).to(result.dtype).unsqueeze(-2)
         return result.to(values.dtype).unflatten(-1, self.target_shape)
 
     def means(
@@ -122,9 +118,6 @@ class MaskedLookup(PlacesInSinglePrecision):
             touched = weight > _TOUCHED
             gain = torch.where(touched, 1 / torch.where(touched, weight, 1.0), 0.0)
         return gain, touched if self.valid is None else touched & self.valid
-
-    def _filling(self, valid: Tensor) -> Tensor:
-        return torch.where(valid, 0.0, self.fill)
 
     def _checked(self, mask: Tensor) -> Tensor:
         check_mask(mask, self.source_shape)

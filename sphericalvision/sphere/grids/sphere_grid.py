@@ -38,10 +38,10 @@ def check_values(values: Shaped[Tensor, " ..."], shape: Sequence[int]) -> None:
         >>> import torch
         >>> check_values(torch.zeros(3, 4, 8), (4, 8))
     """
-    check_tensor("values", values, f"(*b, c, {', '.join(map(str, shape))})")
+    expected = f"(*b, c, {', '.join(map(str, shape))})"
+    check_tensor("values", values, expected)
     if values.ndim <= len(shape) or tuple(values.shape[-len(shape) :]) != tuple(shape):
-        size = ", ".join(map(str, shape))
-        raise ShapeError(f"values: expected shape (*b, c, {size}), got {tuple(values.shape)}")
+        raise ShapeError(f"values: expected shape {expected}, got {tuple(values.shape)}")
 
 
 @runtime_checkable

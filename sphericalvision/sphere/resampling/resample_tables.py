@@ -129,10 +129,8 @@ def _samples(
     middle_in_view: Tensor | None = None,
 ) -> _Samples:
     """Samples of a group of the target's cells, or the middles of all."""
-    if group is None:
-        cells = cell_samples(target, 1, dtype, device)
-    else:
-        cells = cell_samples(target, group.samples, dtype, device, group.cells)
+    samples, chosen = (1, None) if group is None else (group.samples, group.cells)
+    cells = cell_samples(target, samples, dtype, device, chosen)
     directions, weights = cells.directions, cells.shares
     if rotation is not None:
         # target_from_source turns the other way: its transpose acts on column vectors, itself on rows.

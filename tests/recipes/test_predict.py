@@ -201,23 +201,17 @@ def test_knocked_cameras_are_turned_and_it_is_said(run: Run, tmp_path: Path) -> 
     np.testing.assert_allclose(np.load(tmp_path / "again/00003_depth.npz")["index"], before, atol=1e-3)
 
 
-def test_frames_that_cannot_be_read_are_not_looked_at_for_the_calibration(
-    failing: Run, capture: Path, weights: Path, tmp_path: Path
-) -> None:
-    (capture / "cam2" / "00003.png").write_bytes(b"no image")
-    message = failing("predict", *words(capture, weights, "out"), "outputs=[npz]", "align=true")
-    assert "1 of 2 frames were left out" in message
-    assert (tmp_path / "out/00004_depth.npz").is_file()
-
-
 def test_masked_pixels_have_no_influence(run: Run, capture: Path, weights: Path, tmp_path: Path) -> None:
-    masks = f"masks={capture}/cam{{camera}}/mask.png"
-    run("predict", *words(capture, weights, "before"), masks, "frames=[3]")
+    """And masks beside the images are no frames."""
+    beside = [f"images={capture}/cam{{camera}}/{{frame}}.png", f"masks={capture}/cam{{camera}}/mask.png"]
+    run("predict", *words(capture, weights, "before"), *beside)
+    written = sorted(path.name for path in (tmp_path / "before").glob("*.npz"))
+    assert written == ["00003_depth.npz", "00004_depth.npz"]
     for path in capture.glob("cam*/00003.png"):
         image = read_image(path)
         image[:, 22:] = 1 - image[:, 22:]
         write_image(path, image)
-    run("predict", *words(capture, weights, "after"), masks, "frames=[3]")
+    run("predict", *words(capture, weights, "after"), *beside, "stop=1")
     before, after = (np.load(tmp_path / name / "00003_depth.npz")["index"] for name in ("before", "after"))
     np.testing.assert_allclose(after, before, atol=1e-5)
 
@@ -274,10 +268,11 @@ def test_photo_consistency_is_printed_and_kept(
 def test_prediction_goes_on_where_it_stopped(
     run: Run, failing: Run, capture: Path, weights: Path, tmp_path: Path
 ) -> None:
-    """Frames that cannot be read are left out and told at the end; what is done is not done again."""
+    """Frames that cannot be read are left out, of the calibration's judgement, too; what is done is not done again."""
+    aligned = (*words(capture, weights, "out"), "align=true")
     good = (capture / "cam3/00003.png").read_bytes()
     (capture / "cam3/00003.png").write_bytes(good[:50])
-    message = failing("predict", *words(capture, weights, "out"))
+    message = failing("predict", *aligned)
     assert "1 of 2 frames were left out" in message
     assert "cam3/00003.png" in message
     assert not (tmp_path / "out/00003_depth.npz").exists()
@@ -285,14 +280,14 @@ def test_prediction_goes_on_where_it_stopped(
     failing("predict", *words(capture, weights, "other"), "on_error=stop")
     assert not (tmp_path / "other/00004_depth.npz").exists()
     (capture / "cam3/00003.png").write_bytes(good)
-    run("predict", *words(capture, weights, "out"), "skip_existing=true")
+    run("predict", *aligned, "skip_existing=true")
     assert (tmp_path / "out/00003_depth.npz").is_file()
     assert (tmp_path / "out/00004_depth.npz").stat().st_mtime_ns == first
-    message = failing("predict", *words(capture, weights, "out"), "skip_existing=true", "height=24")
+    message = failing("predict", *aligned, "skip_existing=true", "height=24")
     assert "holds results of other settings (height was" in message
     assert "is 24)" in message
     save_weights(IcoSweepNet(3, 4, feature_channels=2), weights)
-    assert "(network was " in failing("predict", *words(capture, weights, "out"), "skip_existing=true")
+    assert "(network was " in failing("predict", *aligned, "skip_existing=true")
 
 
 LEFT: dict[str, tuple[str, bytes]] = {
@@ -371,17 +366,6 @@ def test_what_only_one_camera_sees_is_not_shown_as_measured(
     assert not matched[np.abs(directions[..., 2]) > np.sin(np.radians(50))].any()
     points = np.asarray(trimesh.load(tmp_path / "out/00003_points.ply").vertices) - center
     assert 0 < len(points) <= (matched & np.isfinite(depth)).sum()
-
-
-def test_masks_beside_the_images_are_no_frames(
-    run: Run, capture: Path, weights: Path, tmp_path: Path
-) -> None:
-    beside = [f"images={capture}/cam{{camera}}/{{frame}}.png", f"masks={capture}/cam{{camera}}/mask.png"]
-    run("predict", *words(capture, weights, "out"), *beside)
-    assert sorted(path.name for path in (tmp_path / "out").glob("*.npz")) == [
-        "00003_depth.npz",
-        "00004_depth.npz",
-    ]
 
 
 def test_mistakes_are_named(failing: Run, capture: Path, weights: Path, tmp_path: Path) -> None:

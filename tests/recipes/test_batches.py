@@ -209,46 +209,31 @@ class Numbers(torch.utils.data.Dataset[dict[str, Any]]):
         return {"index": index, "noise": torch.rand(())}
 
 
-@pytest.mark.parametrize("world", [1, 3])
-def test_batches_hold_one_group_and_leave_nothing_out(world: int) -> None:
+@pytest.mark.parametrize(("world", "groups", "size"), [(1, 3, 2), (3, 3, 2), (2, 1, 1), (4, 1, 3)])
+def test_batches_hold_one_group_and_leave_nothing_out(world: int, groups: int, size: int) -> None:
     stream = TrainingStream(Numbers(7), seed=2)
 
     def batches(length: int, start: int = 0, rank: int = 0, world: int = 1) -> list[list[int]]:
-        return list(TrainingBatches(stream, 2, length, lambda index: index % 3, start, rank, world))
+        return list(TrainingBatches(stream, size, length, lambda index: index % groups, start, rank, world))
 
     whole = batches(60)
     for batch in whole:
-        assert len({stream.index_at(position) % 3 for position in batch}) == 1
+        assert len({stream.index_at(position) % groups for position in batch}) == 1
     positions = [position for batch in whole for position in batch]
     assert len(set(positions)) == len(positions)
-    # At most one sample of each group waits.
-    assert set(range(len(positions) - 3)) <= set(positions)
+    # Of each group a batch less one sample waits at most.
+    assert set(range(len(positions) - groups * (size - 1))) <= set(positions)
     # Processes take batches of one group at a time, and together those of one process.
     steps = list(zip(*(batches(60, rank=rank, world=world) for rank in range(world)), strict=True))
     for step in steps:
-        assert len({stream.index_at(positions[0]) % 3 for positions in step}) == 1
+        assert len({stream.index_at(positions[0]) % groups for positions in step}) == 1
     taken = [batch for step in steps for batch in step]
     assert len({tuple(batch) for batch in taken}) == len(taken)
     known = batches(60 * world)
-    assert len([batch for batch in known if batch not in taken]) <= 3 * (world - 1)
+    assert len([batch for batch in known if batch not in taken]) <= (groups - 1) * (world - 1)
+    assert groups > 1 or taken == known
     shares = [batches(10, 2 * world, rank, world) for rank in range(world)]
     assert list(zip(*shares, strict=True)) == steps[2:12]
-
-
-def test_batches_of_random_rigs_have_as_many_cameras_each() -> None:
-    data = RandomRigDataModule(world=RANDOM_RIGS, image_size=(16, 16), num_train=24, batch_size=3)
-    data.bind_network(refined())
-    loader = data.train_dataloader()
-    stream, numbers = loader.dataset, set()
-    assert isinstance(stream, TrainingStream)
-    for positions in islice(loader.batch_sampler or (), 6):
-        ((_, number, _),) = {data.group(stream.index_at(position)) for position in positions}
-        numbers.add(number)
-    assert len(numbers) > 1
-    batch = next(iter(loader))
-    first = next(iter(loader.batch_sampler or ()))
-    assert batch["images"].shape[:2] == (3, data.group(stream.index_at(first[0]))[1])
-    assert data.loader(data.dataset("val")).batch_size == 1
 
 
 @pytest.mark.parametrize(
@@ -274,6 +259,7 @@ def test_networks_on_panoramas_learn_from_random_rigs(
     gradients = torch.cat([p.grad.flatten() for p in net.parameters() if p.grad is not None])
     assert gradients.isfinite().all()
     assert gradients.abs().max() > 0
+    assert data.loader(data.dataset("val")).batch_size == 1
     with pytest.raises(ArgumentError, match=r"data\.levels: expected none for"):
         RandomRigDataModule(levels=LEVELS, num_cameras=numbers, **options).bind_network(net)
 

@@ -57,18 +57,18 @@ def test_a_network_at_another_level_learns_with_the_first() -> None:
     )
 
 
-def test_batches_are_of_one_level_and_all_levels_come() -> None:
-    net = network()
-    data = data_of(net)
-    stream = data.train_dataloader().dataset
+def test_batches_are_of_one_level_and_number_of_cameras_and_all_come() -> None:
+    data = data_of(network())
+    loader = data.train_dataloader()
+    stream, counts, numbers = loader.dataset, dict.fromkeys(LEVELS, 0), set()
     assert isinstance(stream, TrainingStream)
-    sampler = data.train_dataloader().batch_sampler
-    counts = dict.fromkeys(LEVELS, 0)
-    for positions in islice(sampler, 60):
-        ((level, _, _),) = {data.group(stream.index_at(position)) for position in positions}
+    for positions in islice(loader.batch_sampler or (), 60):
+        ((level, number, _),) = {data.group(stream.index_at(position)) for position in positions}
         assert level is not None
         assert len(positions) == LEVELS[level]["batch_size"]
         counts[level] += 1
+        numbers.add(number)
+    assert len(numbers) > 1
     assert min(counts[3], counts[4], counts[5]) > 5  # 60, 30 and 30 in a round
     assert counts[3] > max(counts[4], counts[5])
 

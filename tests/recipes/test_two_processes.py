@@ -56,20 +56,6 @@ def test_batches_seen_are_those_of_all_processes() -> None:
     assert loaders.state_dict() == {"batches_seen": 5 * 2 * 4}
 
 
-@pytest.mark.parametrize(("batch_size", "world"), [(1, 2), (2, 2), (3, 4)])
-def test_processes_share_the_training_stream(batch_size: int, world: int) -> None:
-    """The batches of a step, one process after the other, are one batch of a single process."""
-    steps, start = 4, 7
-    stream = TrainingStream(Numbers(5), seed=3)
-    whole = [stream[start * batch_size + i] for i in range(steps * batch_size * world)]
-    shares = [
-        TrainingBatches(stream, batch_size, steps, start=start, rank=rank, world=world)
-        for rank in range(world)
-    ]
-    taken = [stream[i] for step in zip(*shares, strict=True) for batch in step for i in batch]
-    assert taken == whole
-
-
 @given(st.integers(1, 40), st.integers(1, 6), st.integers(1, 8))
 def test_each_sample_is_validated_once_and_nobody_waits(number: int, batch_size: int, world: int) -> None:
     if number < world:

@@ -156,30 +156,23 @@ def test_a_sweep_of_networks_ends_with_the_table_of_their_tests(
         assert best.network == row["model.network"]
 
 
-def test_test_accuracies_are_those_of_a_loop(run: Run, tmp_path: Path) -> None:
-    run("train", *TINY, "model.network=hex", "output=run")
-    net = ClassificationModule.stored_network(tmp_path / "run/checkpoints/best.ckpt").eval()
+def test_a_training_is_tested_as_by_a_loop_and_its_weights_start_the_same_network_alone(
+    run: Run, failing: Run, tmp_path: Path
+) -> None:
+    run("train", *TINY, "model.network=hex", "output=first")
+    best = tmp_path / "first/checkpoints/best.ckpt"
+    net = ClassificationModule.stored_network(best).eval()
     data = DigitsDataModule(network="hex", level=3, num_val=8, num_test=12)
-    (tested,) = json.loads((tmp_path / "run/test.json").read_text()).values()
+    (tested,) = json.loads((tmp_path / "first/test.json").read_text()).values()
     for orientation, percent in tested.items():
         digits = data.samples("test", orientation)
         samples = [digits[i] for i in range(len(digits))]
         right = [int(net(s["values"][None]).argmax() == s["label"]) for s in samples]
         assert percent == pytest.approx(100 * sum(right) / len(right), abs=1e-3)
-
-
-def test_training_starts_from_weights_and_refuses_those_of_another_network(
-    run: Run, failing: Run, tmp_path: Path
-) -> None:
-    run("train", *TINY, "output=first")
-    best = tmp_path / "first/checkpoints/best.ckpt"
     still = ("trainer.max_steps=1", "optimizer.lr=0.0")
     run("train", *TINY, *still, "output=second", f"init_weights={best}")
-    first, second = (
-        ClassificationModule.stored_network(tmp_path / name / "checkpoints/best.ckpt")
-        for name in ("first", "second")
-    )
-    for name, value in first.named_parameters():
+    second = ClassificationModule.stored_network(tmp_path / "second/checkpoints/best.ckpt")
+    for name, value in net.named_parameters():
         assert torch.equal(second.get_parameter(name), value), name
     message = failing("train", *TINY, "model.network=crown", f"init_weights={best}")
     assert "network = hex, the network to train has crown" in message

@@ -88,7 +88,8 @@ def test_tables_hold_every_stage(tmp_path: Path) -> None:
     assert stored["machine"]["torch"] == torch.__version__
     assert {row.title.partition(": ")[2] for row in rows} == STAGES
     text = (tmp_path / "speed.md").read_text()
-    assert all(row.title in text for row in rows)
+    assert {text.count(f"{row.title}\n") for row in rows} == {1}
+    assert {row.spread for row in rows} == {0}  # after a billionth of a second, and one round
     inference = {row.name: row for row in rows if "whole inference" in row.title}
     assert list(inference) == ["plain", OURS]
     assert inference["plain"].ratio == 1
@@ -142,7 +143,7 @@ def test_what_other_processes_timed_themselves_counts() -> None:
 
 
 def test_memory_is_the_most_that_is_held_at_once() -> None:
-    assert fresh_memory("for _ in range(2): torch.zeros(10_000_000)") == pytest.approx(40, abs=8)
+    assert fresh_memory("for _ in range(2): torch.zeros(10**8)") == pytest.approx(400, abs=5)
 
 
 def fresh_memory(statement: str) -> float:
@@ -175,12 +176,14 @@ def test_presets_are_those_of_predict() -> None:
         ("fps", {"live, 1 threads", "live, 2 threads"}),
         (
             "variants",
-            {"icosweepnet_rt, plain", "icosweepnet_rt", "semi-global sweep", "icosweepnet_rt, recompute"},
+            {"icosweepnet_rt, plain", "semi-global sweep, bf16", "icosweepnet_rt, recompute"},
         ),
     ],
 )
 def test_every_group_measures_its_rows(tmp_path: Path, group: str, names: set[str]) -> None:
-    rows = measured(tmp_path, f"groups=[{group}]", "presets=[live]", "variants=[icosweepnet_rt]")
+    rows = measured(
+        tmp_path, f"groups=[{group}]", "presets=[live]", "variants=[icosweepnet_rt]", "options=[bf16]"
+    )
     assert all(row.median > 0 for row in rows)
     assert {row.name for row in rows} >= names
 

@@ -64,7 +64,7 @@ def test_rendering_goes_on_with_what_is_missing_or_cannot_be_read(run: Run, tmp_
     whole = root / "cam1/00004.png"
     whole.write_bytes(whole.read_bytes() + b"kept")
     before = contents(root)
-    (root / "cam2/00001.png").write_bytes(b"")
+    (root / "cam4/00001.png").write_bytes(b"")
     (root / "depth_train_640/00002.png").unlink()
     (root / "depth_train_640/00003.png").write_bytes(before["depth_train_640/00003.png"][:40])
     run("render", f"output={root}", "num_frames=4", *TINY)

@@ -181,6 +181,8 @@ def test_packages_that_are_missing_are_named(failing: Run) -> None:
         build(node, "logger.mlflow")
     with pytest.raises(ArgumentError, match=r"pip install mlflow$"):
         build(node, "logger.mine")
+    with pytest.raises(FileNotFoundError):  # which says itself what is wrong
+        build(OmegaConf.create({"_target_": "os.listdir", "_args_": ["nowhere"]}), "logger.mine")
     assert "pip install 'sphericalvision[launchers]'" in failing("train", "hydra/launcher=moon")
     assert "pip install 'sphericalvision[optuna]'" in failing("train", "hydra/sweeper=moon")
 

@@ -57,6 +57,13 @@ def test_a_full_disk_is_told_of_a_worker_process_too() -> None:
     assert str(_message(caught.value)).startswith("No space left on device; ")
 
 
+@pytest.mark.parametrize("link", ["__cause__", "__context__"])
+def test_a_mistake_is_told_whatever_it_has_led_to(link: str) -> None:
+    error = RuntimeError("what it has led to")
+    setattr(error, link, FileFormatError("the mistake"))
+    assert _message(error) == "the mistake"
+
+
 def test_evaluation_goes_without_the_frame_and_says_so(
     run: Run, frames: Path, weights: Path, tmp_path: Path
 ) -> None:

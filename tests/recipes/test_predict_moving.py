@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ from sphericalvision.io.images import read_image, write_image, write_mask
 from sphericalvision.models import SemiGlobalSweep
 from sphericalvision.recipes.app import checks
 from sphericalvision.recipes.app.captures import PosedCapture
+from sphericalvision.recipes.commands.predict import warn_if_inverted
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from tests.recipes.tiny import Run, composed, typed
 
@@ -85,6 +86,14 @@ def of_drive(drive: Path) -> tuple[str, ...]:
     return typed(f"{images} output=out outputs=[npz] height=16 device=cpu align=false {COARSE}")
 
 
+def write_poses(path: Path, names: Sequence[str], poses: torch.Tensor) -> None:
+    lines = []
+    for name, pose in zip(names, poses, strict=True):
+        turn = Rotation.from_matrix(pose[:3, :3].numpy()).as_quat()
+        lines.append(" ".join(map(str, (name, *pose[:3, 3].tolist(), *turn))))
+    path.write_text("\n".join(lines))
+
+
 def test_poses_of_a_robots_frame_are_those_of_its_rig(run: Run, drive: Path, tmp_path: Path) -> None:
     """Poses of ``base_link`` in a world whose z is up, and the rig in it: the same depth, points in that world."""
     trajectory = read_trajectory(drive / "poses.txt")
@@ -93,11 +102,7 @@ def test_poses_of_a_robots_frame_are_those_of_its_rig(run: Run, drive: Path, tmp
     base_from_rig[:3, 3] = torch.tensor([0.3, 0.0, 1.2])
     np.savetxt(tmp_path / "base.txt", base_from_rig[:3])
     rigs = torch.linalg.inv(optical_from_world) @ trajectory.world_from_camera.double()
-    lines = []
-    for name, pose in zip(trajectory.names, rigs @ torch.linalg.inv(base_from_rig), strict=True):
-        turn = Rotation.from_matrix(pose[:3, :3].numpy()).as_quat()
-        lines.append(" ".join(map(str, (name, *pose[:3, 3].tolist(), *turn))))
-    (tmp_path / "robot.txt").write_text("\n".join(lines))
+    write_poses(tmp_path / "robot.txt", trajectory.names, rigs @ torch.linalg.inv(base_from_rig))
     run("predict", *of_drive(drive), "output=clean", "outputs=[npz,cloud]")
     words = [word for word in of_drive(drive) if not word.startswith("poses=")]
     run("predict", *words, f"poses={tmp_path}/robot.txt", f"frame={tmp_path}/base.txt", "outputs=[npz,cloud]")
@@ -109,6 +114,18 @@ def test_poses_of_a_robots_frame_are_those_of_its_rig(run: Run, drive: Path, tmp
         ply = name.replace("depth.npz", "points.ply")
         clean, robot = (trimesh.load(tmp_path / folder / ply).vertices for folder in ("clean", "out"))
         np.testing.assert_allclose(robot, clean @ optical_from_world[:3, :3].numpy(), atol=1e-2)
+
+
+@pytest.mark.parametrize("inverted", [False, True])
+def test_poses_that_are_inverted_are_told(
+    drive: Path, capsys: pytest.CaptureFixture[str], inverted: bool
+) -> None:
+    trajectory = read_trajectory(drive / "poses.txt")
+    poses = trajectory.world_from_camera.double()
+    write_poses(drive / "poses.txt", trajectory.names, torch.linalg.inv(poses) if inverted else poses)
+    source = keys(drive, calibration=f"{drive}/rig.yaml", images=f"{drive}/drive", up="-y").open()
+    warn_if_inverted(source, "-y")
+    assert ("agree better" in capsys.readouterr().out) == inverted
 
 
 @pytest.mark.parametrize("calibration", ["equirectangular", "camera.yaml", "rig.yaml"])

@@ -48,10 +48,11 @@ def same(one: Path, other: Path) -> bool:
     return all(torch.equal(states[0][name], states[1][name]) for name in states[1])
 
 
-def test_the_prior_learns_along() -> None:
+def test_the_prior_learns_along_and_without_hints() -> None:
     net = RefinedSweepNet.around(IcoSweepNet(5, aggregation="variance", feature_channels=2))
-    AdaptModule(net, loss=None, optimizer=None, scheduler=None)
+    module = AdaptModule(net, loss=None, optimizer=None, scheduler=None)
     assert all(parameter.requires_grad for parameter in net.prior.parameters())
+    assert module.hints == 0
 
 
 @pytest.mark.slow

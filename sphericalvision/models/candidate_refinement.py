@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth on the next finer icosphere: each vertex chooses between the depths around it by what the cameras see there."""
+"""Depth on the next finer icosphere: each vertex chooses between nearby depths by how well the cameras agree there."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ RARE = -4.0
 PLAUSIBLE = 0.02
 """Weight from which a candidate that was not chosen is the second best answer."""
 SHARPENING = 2.0
-"""By how much a logit falls with each hypothesis of distance from a refined index, up to two of them."""
+"""Fall of a logit for each hypothesis of distance from a refined index, up to two."""
 
 
 class Candidates(NamedTuple):
-    """Depths that a vertex may have.
+    """Depths that a vertex may have. Its parents are the two coarser vertices between which it lies.
 
     Attributes:
-        index: ``(B, 4, V)``: the mean of the two coarser vertices beside it, the nearest and the farthest around these,
-            and the second best answer of one of them, or a hint.
-        likely: ``(B, 4, V)`` probability of their hypotheses at these two vertices.
-        step: ``(B, V)`` by how far these two differ.
-        spread: ``(B, V)`` expected distance of the two coarser vertices' indices from what they say.
+        index: ``(B, 4, V)``: mean of the parents, nearest and farthest in the rings around them, and the second best
+            index of the first parent, or a hint.
+        likely: ``(B, 4, V)`` mean probability of these hypotheses at the parents.
+        step: ``(B, V)`` difference of the parents' indices.
+        spread: ``(B, V)`` mean of the parents' expected distances from their own index.
     """
 
     index: Float[Tensor, "B four V"]  # type: ignore[assignment]  # hides tuple.index
@@ -46,12 +46,12 @@ class Candidates(NamedTuple):
 
 
 class RefinedIndex(NamedTuple):
-    """What ``CandidateRefinement`` says.
+    """Result of ``CandidateRefinement``.
 
     Attributes:
         index: ``(B, V)``.
-        confidence: ``(B, V)`` logit of 1 less the expected error, which counts from none to two hypotheses.
-        sky: ``(B, V)`` logit of there being nothing up to infinity.
+        confidence: ``(B, V)`` logit of the confidence: 1 without an expected error, 0 from two hypotheses on.
+        sky: ``(B, V)`` logit of the sky: no surface up to infinity.
         seen: ``(B, V)`` whether two cameras see the point.
         second: ``(B, V)`` the best of the candidates that are a hypothesis or more from the index.
     """
@@ -66,16 +66,14 @@ class RefinedIndex(NamedTuple):
 class CandidateRefinement(nn.Module):
     """Choose between ``Candidates``, and correct the choice a little.
 
-    At an edge a mean of depths is no depth of anything; the two sides are. Which of them a vertex belongs to the
-    cameras tell, whose colours agree at one and not at the other. Training begins with the mean.
-
-    The step from one level to the next is the same at all levels, and may be repeated with the same weights.
+    At an edge a mean of depths is the depth of no surface; each side is one. The colours of the cameras agree at the
+    right side and differ at the other. Training begins with the mean. The same weights serve at all levels.
 
     Args:
         state: channels of ``FusedLogits``.
         width: channels of the convolutions.
         blocks: residual blocks.
-        details: whether what is around vertices in finer images may be given as well; see ``appearance_around``.
+        details: whether ``forward`` takes finer images around vertices; see ``appearance_around``.
 
     References:
         Bleyer et al. (2011), "PatchMatch stereo", for candidates from the surroundings; Tankovich et al. (2021),
@@ -103,20 +101,20 @@ class CandidateRefinement(nn.Module):
         num_hypotheses: int,
         around: Float[Tensor, "B two D V"] | None = None,
     ) -> RefinedIndex:
-        """Return index, confidence, sky, what is seen and the second best index, ``(B, V)``.
+        """Choose an index ``(B, V)``.
 
         Args:
             candidates: of ``candidates_of``.
-            appearance: what cameras see at each of them, K = 4.
+            appearance: of the cameras at each candidate, K = 4.
             state: ``(B, S, V_coarse)`` one level coarser.
             num_hypotheses: N.
-            around: ``(B, 2, 7, V)``, what cameras see around vertices at the nearest and at the farthest candidate.
+            around: ``(B, 2, 7, V)``, ``appearance_around`` at the nearest and at the farthest candidate.
         """
         index, likely, step, spread = candidates
         color, deviation, cameras = appearance
         _, nearest, farthest, _ = color.unbind(1)
         mean = index[:, :1]
-        # Factors bring clues to like sizes, and a single far candidate has no more to say than one 8 hypotheses away.
+        # Factors bring inputs to like sizes. The clamp keeps one far candidate from outweighing all other inputs.
         entries = (
             ((index - mean) / 4).detach().clamp(-2, 2),
             3 * deviation,
@@ -133,7 +131,7 @@ class CandidateRefinement(nn.Module):
             values = values + self._around(around)
         scores, *others = self.exit(F.relu(self.block(values))).split((4, 1, 1, 1), 1)
         correction, confidence, sky = (values.squeeze(1) for values in others)
-        # A mean of candidates by their weights, not the best one: weights are what has a gradient.
+        # A weighted mean of the candidates, as the choice of the best one has no gradient.
         weights = scores.softmax(1)
         chosen = ((weights * index).sum(1) + correction).clamp(0, num_hypotheses - 1)
         seen = cameras.gather(1, weights.max(1, keepdim=True).indices).squeeze(1) >= 2
@@ -144,16 +142,16 @@ class CandidateRefinement(nn.Module):
         return RefinedIndex(chosen, confidence, sky, seen, second)
 
     def _around(self, around: Tensor | None) -> Tensor:
-        """What the layer for details adds; nothing without any."""
+        """Output of the layer for details; 0 without any."""
         assert self.details is not None
-        if around is None:  # of several processes each wants a gradient for each weight
+        if around is None:  # zero times the weights: DDP wants a gradient of each
             return 0 * self.details.weight.sum()
         deviations, colors = around.split((4, 3), 2)
         return self.details(torch.cat((3 * deviations, colors), 2).flatten(1, 2))  # type: ignore[no-any-return]
 
 
 def finer_logits(fused: FusedLogits, index: Float[Tensor, "B V_fine"]) -> FusedLogits:
-    """Return logits and state on the next finer icosphere, where an index was chosen, which is the likelier for it.
+    """Return logits and state on the next finer icosphere, sharpened around the index that was chosen there.
 
     Examples:
         >>> fused = FusedLogits(torch.zeros(1, 31, 42), torch.zeros(1, 2, 42))
@@ -171,12 +169,12 @@ def candidates_of(
     modes: tuple[Float[Tensor, "B V_coarse"], Float[Tensor, "B V_coarse"]] | None = None,
     hint: HintedIndex | None = None,
 ) -> Candidates:
-    """Return what the vertices of the next finer icosphere choose from.
+    """Return the candidates of the vertices of the next finer icosphere.
 
     Args:
-        fused: logits of the coarser one.
-        modes: ``(B, V_coarse)`` best and second best index of each of its vertices; those of the logits when not given.
-        hint: on the finer one; it takes the place of the second best index where it is likelier.
+        fused: logits on the coarser icosphere.
+        modes: ``(B, V_coarse)`` best and second best index of its vertices; ``two_modes`` of the logits when not given.
+        hint: on the finer icosphere; it replaces the second best index where it is likelier.
 
     Examples:
         >>> logits = torch.zeros(1, 31, 42)
@@ -191,7 +189,7 @@ def candidates_of(
     # Each finer vertex lies half-way between two coarser ones, or on one, which is then both of its parents.
     one, other = icosphere_vertex_parents(level + 1, logits.device).unbind(1)
     around = best[:, vertex_rings(level, logits.device)]
-    # An edge may lie a vertex off in the coarse answer: the other side is offered from a ring around both parents.
+    # The coarse index may place an edge one vertex off: rings around both parents offer the other side, too.
     nearest, farthest = around.amax(-1), around.amin(-1)
     first, last = best[:, one], best[:, other]
     index = torch.stack(
@@ -207,7 +205,8 @@ def candidates_of(
     with torch.no_grad():
         probability = logits.softmax(1)
         hypothesis = (2 * index).round().long().clamp(0, logits.shape[1] - 1)
-        rows = hypothesis * probability.shape[-1]  # hypotheses and vertices in one row: one gather a parent
+        # Hypotheses and vertices flattened into one dimension: one gather for each parent.
+        rows = hypothesis * probability.shape[-1]
         likely = [
             probability.flatten(1).gather(1, (rows + parent).flatten(1)).view_as(index)
             for parent in (one, other)
@@ -216,7 +215,7 @@ def candidates_of(
         spread = (probability * (tried_index(logits.shape[1], logits.device) - best[:, None]).abs()).sum(1)
         spread = (spread[:, one] + spread[:, other]) / 2
     mean = (likely[0] + likely[1]) / 2
-    if hint is not None:  # four candidates in any case, as the layers have inputs for four
+    if hint is not None:  # one of the last two goes, as the layers have inputs for four candidates
         better = ((hint.weight > 0) & (mean[:, 4] >= mean[:, 3]))[:, None]
         index, mean = (
             torch.cat((values[:, :3], values[:, 4:].where(better, values[:, 3:4])), 1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``DepthNetwork``: what training, evaluation, prediction and files ask of a network of depth all around."""
+"""``DepthNetwork``: the interface of depth networks for training, evaluation, prediction and files."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class RemembersArguments(nn.Module):
-    """A module that remembers the arguments of its constructor, without a line about them in its class.
+    """A module that keeps the arguments of its constructor.
 
     Examples:
         >>> class Scaled(RemembersArguments):
@@ -61,10 +61,10 @@ class RemembersArguments(nn.Module):
 
     @property
     def hyperparameters(self) -> dict[str, Any]:
-        """Plain values that rebuild this network, ``type(net)(**net.hyperparameters)``: what it was constructed with.
+        """Arguments of the constructor as plain values: ``type(net)(**net.hyperparameters)`` builds the network again.
 
         Raises:
-            ArgumentError: if it was constructed with something else than plain values, or with arguments without names.
+            ArgumentError: an argument is no plain value, or has no name.
         """
         return {name: _plain(name, value) for name, value in self._arguments.items()}
 
@@ -92,37 +92,35 @@ def _plain(name: str, value: Any) -> Any:
 
 
 class DepthNetwork(RemembersArguments):
-    """Depth around a rig as hypothesis indices on a grid of directions: the base of all networks that estimate it.
+    """Base of networks that estimate depth around a rig, as hypothesis indices on a grid of directions.
 
     A subclass declares the images it takes in ``images``, sets ``grid``, and implements ``predict``, or ``_estimate``,
-    to which ``predict`` passes what it has checked. All other methods follow from these, and may be overridden. The
-    package never depends on the class of a network.
+    which ``predict`` calls with checked arguments. All other methods follow from these, and may be overridden.
 
     Convention:
-        Images are in [-1, 1], in the order of ``rig.names``. ``seen`` is True inside the field of view and where not
-        masked; without it, everything inside the cameras' fields of view was seen. The
-        result is a hypothesis index seen from ``rig.center``, in directions of the world: 0 is infinity, N - 1 is
-        ``min_depth``; ``depth`` turns it into metres along the ray. Arguments of the constructor are plain values
-        (numbers, texts, None, lists of them), which makes ``hyperparameters`` complete by themselves.
+        Images are in [-1, 1], in the order of ``rig.names``. ``seen`` is True where they show something; it is the
+        fields of view less masks when not given. The result is a hypothesis index seen from ``rig.center``, in
+        directions of the world: 0 is infinity, N - 1 is ``min_depth``; ``depth`` turns it into metres along the ray.
+        Arguments of the constructor are plain values (numbers, texts, None, lists of them).
 
     Args:
         num_hypotheses: N, two or more.
         min_depth: radius of the nearest hypothesis in metres.
         num_cameras: number of cameras of the rigs.
-        any_cameras: whether rigs of any other number of cameras, in any order, are taken as well.
+        any_cameras: whether rigs of any number of cameras, in any order, are taken.
 
     Attributes:
         images: ``"sphere"`` for images ``(B, n, 3, V_level)`` on icospheres aligned with the world, or ``"camera"`` for
             images ``(B, n, 3, H, W)`` as the cameras took them.
-        grid: where the result lies: an ``Icosphere``, or a panorama.
+        grid: of the result, an ``Icosphere`` or a panorama.
         level: of the icospheres that hold the images; only where ``images`` is ``"sphere"``.
-        image_channels: numbers of channels that images may have, 3 unless a subclass says otherwise.
-        min_depth_follows: what the nearest hypothesis should be in use: ``"rig"``, that of the training scaled with the
-            rig's radius, as a network needs that was trained with rigs of one radius; ``"training"``, that of the
-            training, if rigs of many radii were in it; ``"scene"``, a little nearer than the nearest surface, where
-            nothing was trained.
-        trained_radius: metres; radius of the rigs of the training, by which ``"rig"`` scales.
-        bounds: largest whole numbers of hyper-parameters in files of weights, by name; usual ones without.
+        image_channels: numbers of channels that images may have.
+        min_depth_follows: the nearest hypothesis in use: ``"rig"``, that of the training times the ratio of the rig's
+            radius to ``trained_radius``, for networks trained with rigs of one radius; ``"training"``, that of the
+            training, if rigs of many radii were in it; ``"scene"``, a little nearer than the nearest surface, for
+            methods without training.
+        trained_radius: radius of the rigs of the training in metres.
+        bounds: largest integers of hyper-parameters in files of weights, by name; the usual ones without.
         takes_hints: whether ``predict`` and ``training_loss`` take a ``DepthHint``; others refuse one.
 
     Raises:
@@ -182,9 +180,8 @@ class DepthNetwork(RemembersArguments):
         Args:
             images: ``(B, n, 3, V_level)`` on icospheres or ``(B, n, 3, H, W)`` of cameras, as ``self.images`` says.
             rig: of all samples or, with batched poses, a rig a sample; or the ``tables`` of either.
-            seen: ``(B, n, V_level)`` or ``(B, n, H, W)``, True where the images show something; without a batch
-                dimension it is for all samples. When not given, all that is inside the fields of view was seen.
-            hint: ``(B, *grid.shape)``, what is known of depth beforehand; only where the network ``takes_hints``.
+            seen: ``([B,] n, V_level)`` or ``([B,] n, H, W)``, True where the images show something.
+            hint: ``(B, *grid.shape)``, known depth; only where the network ``takes_hints``.
 
         Raises:
             ArgumentError: a hint for a network that takes none.
@@ -200,9 +197,9 @@ class DepthNetwork(RemembersArguments):
         seen: Bool[Tensor, "B n *size"] | Bool[Tensor, " n *size"] | None,
         hint: DepthHint,
     ) -> tuple[DepthEstimate, Float[Tensor, "B one"] | None]:
-        """Return what ``predict`` does, and how far the network trusted the hint, ``(B, 1)`` from 0 to 1.
+        """Return the result of ``predict``, and the trust in the hint, ``(B, 1)`` from 0 to 1; None if all are trusted.
 
-        None from a network that trusts every hint. Arguments and errors are those of ``predict``.
+        Arguments and errors are those of ``predict``.
         """
         if type(self).predict is not DepthNetwork.predict:  # of others, who may change the images
             return self.predict(images, rig, seen, hint), None
@@ -212,13 +209,13 @@ class DepthNetwork(RemembersArguments):
     def _estimate(
         self, images: Tensor, rig: CameraRig | Any, seen: Tensor | None, hint: DepthHint | None
     ) -> DepthEstimate:
-        """What ``predict`` returns; images, ``seen`` and hint have the right shapes."""
+        """Compute the result of ``predict``; images, ``seen`` and hint have the right shapes."""
         raise NotImplementedError(f"{type(self).__name__}._estimate")
 
     def _estimate_and_trust(
         self, images: Tensor, rig: CameraRig | Any, seen: Tensor | None, hint: DepthHint | None
     ) -> tuple[DepthEstimate, Tensor | None]:
-        """What ``predict_with_trust`` returns."""
+        """Compute the result of ``predict_with_trust``."""
         return self._estimate(images, rig, seen, hint), None
 
     def forward(
@@ -229,7 +226,7 @@ class DepthNetwork(RemembersArguments):
         hint: DepthHint | None = None,
     ) -> Float[Tensor, " B *grid"]:
         """Return the hypothesis index ``(B, *grid.shape)``, 0 to N - 1; arguments as for ``predict``."""
-        hints = () if hint is None else (hint,)  # networks of others may not know what a hint is
+        hints = () if hint is None else (hint,)  # ``predict`` of other packages' networks may take no hint
         return self.predict(images, rig, seen, *hints).index
 
     def training_loss(
@@ -242,9 +239,9 @@ class DepthNetwork(RemembersArguments):
         loss: Callable[..., Tensor],
         hint: DepthHint | None = None,
     ) -> Float[Tensor, ""]:
-        """Return what training makes small: the loss of the index, unless a network wants more.
+        """Return the loss that training minimises: that of the index, unless a network adds others.
 
-        The loss of a batch is the mean of its samples' losses, each with its own rig.
+        It is the mean of the samples' losses, each with its own rig.
 
         Args:
             images: as for ``predict``; so are ``rig``, ``seen`` and ``hint``.
@@ -256,19 +253,19 @@ class DepthNetwork(RemembersArguments):
         return loss(self(images, rig, seen, *hints), target, valid)
 
     def intake(self, rig: CameraRig, antialias: bool = True) -> Intake:
-        """Return what makes images of a rig's cameras into those that this network takes.
+        """Return the ``Intake`` that turns the images of a rig's cameras into those that this network takes.
 
         Args:
             rig: unbatched.
             antialias: whether images finer than the icosphere are averaged over the area between its vertices.
 
         Raises:
-            ShapeError: the network takes images as they are, and their sizes differ.
+            ShapeError: the network takes images of cameras, and their sizes differ.
         """
         return Intake(rig, Icosphere(self.image_level) if self.images == "sphere" else None, antialias)
 
     def tables(self, rig: CameraRig) -> Any:
-        """Return what may be passed in place of a rig, as often as wanted, to compute once what follows from it."""
+        """Return tables of a rig, computed once, which may be passed in its place."""
         return rig
 
     @check_shapes
@@ -316,7 +313,7 @@ class DepthNetwork(RemembersArguments):
 
     @property
     def image_level(self) -> int:
-        """Level of the finest images that this network looks at, those of ``intake``; images of ``level`` will do."""
+        """Level of the finest images that this network uses, and that ``intake`` makes; it also takes ``level``."""
         return self.level
 
     @property
@@ -331,7 +328,7 @@ class DepthNetwork(RemembersArguments):
     def index_at(
         self, index: Float[Tensor, " B *grid"], directions: Float[Tensor, "V 3"]
     ) -> tuple[Float[Tensor, "B V"], Bool[Tensor, " V"]]:
-        """Return the index ``(B, V)`` in other directions of the world, and whether the grid reaches there ``(V,)``.
+        """Return the index ``(B, V)`` in other directions of the world, and whether the grid holds them ``(V,)``.
 
         Args:
             index: ``(B, *grid.shape)`` as ``forward`` returns it; linear between the grid's points.
@@ -346,17 +343,14 @@ class DepthNetwork(RemembersArguments):
 
     @property
     def device(self) -> torch.device:
-        """Where the network is."""
+        """Device of the weights."""
         return next(chain(self.parameters(), self.buffers())).device
 
     def with_changes(self, **changes: Any) -> Self:
-        """Return a network with the same weights and other hyper-parameters; ``None`` leaves one as it is.
-
-        The level of the images and the nearest hypothesis, for instance, on which weights do not depend.
+        """Return a network with a copy of the weights and other hyper-parameters; ``None`` leaves one as it is.
 
         Raises:
-            ArgumentError: for a hyper-parameter that this network has not, or one that the shapes of the weights
-                depend on.
+            ArgumentError: this network has no such hyper-parameter, or the shapes of its weights depend on it.
 
         Examples:
             >>> from sphericalvision.models import pretrained
@@ -389,10 +383,9 @@ class DepthNetwork(RemembersArguments):
         return net.train(self.training)
 
     def at_level(self, level: int) -> Self:
-        """Return a network for images on another icosphere that has this one's weights themselves, not copies of them.
+        """Return a network for images on another icosphere that shares the weights of this one.
 
-        What either of the two learns the other has learned. A network that is moved or cast leaves those that were made
-        of it before behind.
+        Training either changes both, until one of them is moved or cast.
 
         Args:
             level: of the images.
@@ -419,9 +412,9 @@ class DepthNetwork(RemembersArguments):
         return net
 
     def configure(self, recompute: bool) -> Self:
-        """Choose whether training saves memory by computing the inside of blocks twice, a third more work.
+        """Choose whether training computes the inside of blocks twice: less memory, a third more work, same results.
 
-        The results stay the same. Returns the network.
+        Returns the network.
 
         Raises:
             ArgumentError: if no part of this network has such a choice.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hints of depth: how far clues of sweep and prior agree with them, and what they change in a fusion's logits."""
+"""Hints of depth: how far the images agree with one, and the penalty it adds to the logits of the fusion."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from torch import Tensor, nn
 from sphericalvision.models.tried_hypotheses import at_index, tried_index
 
 HINT_REACH = 4.0
-"""Hypotheses beyond which it does not matter how far one is from a hint: it may be wrong."""
+"""Hypotheses of distance from a hint beyond which the penalty stays the same, as the hint may be wrong."""
 HINT_STRENGTH = 3.0
-"""By how much a logit falls with each hypothesis of distance from a hint of weight 1, before training."""
+"""Fall of a logit for each hypothesis of distance from a hint of weight 1, before training."""
 HINT_CLUES = 6
-"""Channels that say what speaks for and against a hint."""
+"""Channels of ``HintGate.clues``."""
 SURE = 0.9
-"""Probability of the answer that the images give, from which on it says something about a hint."""
+"""Probability around the best hypothesis above which a vertex is sure enough to judge a hint."""
 DISTRUST, TRUST = 0.7, 0.85
-"""Agreement of a hint with sure answers up to which it does not count at all, and from which on it counts fully."""
+"""Agreement with sure vertices at which the trust in a hint begins to rise from 0, and at which it reaches 1."""
 BENEFIT_OF_DOUBT = 0.01
-"""Share of the directions by whose number a hint agrees beforehand: where nothing is sure, it is trusted."""
+"""Agreement granted beforehand, as a share of the directions: where nothing is sure, a hint is trusted."""
 DOUBT_SLOPE, DOUBTFUL_COST = 20.0, 0.7
-"""How that share falls with the costs of the hint in the sweep, as a share of the mean over all depths; half there."""
+"""The granted share is halved where a hint costs 0.7 of the mean over all depths, and falls with this slope."""
 
 
 class SweepClues(NamedTuple):
-    """What geometry and a learned prior say of every direction: all that ``RefinedSweepNet`` starts from.
+    """Results of the sweep and the learned prior, from which ``RefinedSweepNet`` starts.
 
-    N hypotheses, of which M = 2 N - 1 are tried: one between every two.
+    M = 2 N - 1 hypotheses are tried: the N, and one between every two.
 
     Attributes:
         cost: ``(B, M, V)`` smoothed costs of ``semi_global_costs``, the least of each vertex 0.
         best: ``(B, M, V)`` correlation of the better half of the cameras.
         mean: ``(B, N, V)`` correlation of all cameras that see the point.
-        cameras: ``(B, 4, V)`` how many see the point, at four hypotheses from infinity on.
+        cameras: ``(B, 4, V)`` number that see the point, at four hypotheses from infinity to the nearest.
         prior: ``(B, N, V_prior)`` logits, on this or a coarser icosphere.
     """
 
@@ -64,10 +64,10 @@ class HintedIndex(NamedTuple):
 
 
 class HintGate(nn.Module):
-    """How far a hint of depth is believed, and by how much it lowers the logits of hypotheses far from it.
+    """Trust in a hint of depth, and the penalty of hypotheses far from it.
 
-    A hint is judged as a whole by what the images say where they are sure (``trust``), and at each vertex by features
-    of the fusion (``penalty``). Before training it is the same at all vertices. Without a hint nothing is computed.
+    The trust is one number, from the agreement of the hint with the images where these are sure. The penalty is learned
+    at each vertex from features of the fusion; before training it is the same at all vertices.
 
     Args:
         width: channels of the fusion's features.
@@ -85,8 +85,8 @@ class HintGate(nn.Module):
     def clues(
         clues: SweepClues, prior: Float[Tensor, "B M V"], start: Float[Tensor, "B V"], hint: HintedIndex
     ) -> Float[Tensor, "B six V"]:
-        """Return what speaks for and against a hint ``(B, 6, V)``; 0 where there is none."""
-        # One look-up for all three, as at_index costs two gathers each time.
+        """Return inputs that speak for or against a hint ``(B, 6, V)``; 0 where there is none."""
+        # One look-up of all three, as ``at_index`` is two gathers.
         together = torch.cat((clues.cost, clues.best, prior))
         cost, best, likely = at_index(together, hint.index.repeat(3, 1)).chunk(3)
         difference = ((hint.index - start) / 4).clamp(-2, 2)
@@ -100,19 +100,19 @@ class HintGate(nn.Module):
         logits: Float[Tensor, "B M V"],
         compared: Bool[Tensor, "B V"],
     ) -> Float[Tensor, "B one"]:
-        """Return how far ``(B, 1)`` a hint is believed, by its agreement with the images where they are sure.
+        """Return the trust ``(B, 1)``, from the agreement of the hint with the images where these are sure.
 
-        Where they say little it is judged by what they say elsewhere: a right one is believed however bare surfaces
-        are. Where they are sure of hardly anything, it is believed if it costs less in the sweep than any depth would.
+        The sure vertices judge for all: a right hint is trusted on bare surfaces, too. Where hardly any vertex is sure,
+        a hint is trusted if it costs less in the sweep than the mean over all depths.
         """
         count = logits.shape[1]
         positions = tried_index(count, logits.device)
         best = logits.max(1).indices / 2
-        # Sure is what has nearly all probability close to its mode, however that is spread there.
+        # A vertex is sure if nearly all probability is close to the best hypothesis, however it is spread there.
         close = (positions - best[:, None]).abs() <= _tolerance(best)[:, None]
         sure = ((logits.softmax(1) * close).sum(1) - SURE).clamp(min=0) / (1 - SURE)
-        # Where nothing is sure, agreement is of nothing. A hint of another scene still costs as much as any depth
-        # there, a right one clearly less.
+        # Without sure vertices there is nothing to agree with. Costs still tell: a hint of another scene costs as much
+        # as any depth, a right one clearly less.
         of_hint, of_any = (hint_clues[:, 2:4] * compared[:, None]).sum(-1).unbind(1)
         cheap = (DOUBT_SLOPE * (DOUBTFUL_COST - of_hint / of_any.clamp(min=1e-6))).sigmoid()
         score = agreement(hint, best, sure * compared, count, BENEFIT_OF_DOUBT * cheap)
@@ -121,7 +121,7 @@ class HintGate(nn.Module):
     def penalty(
         self, hint: HintedIndex, values: Float[Tensor, "B C V"], count: int
     ) -> Float[Tensor, "B M V"]:
-        """Return how much less likely each of ``count`` hypotheses is ``(B, M, V)``, by its distance from a hint."""
+        """Return the penalty ``(B, M, V)`` of each of ``count`` tried hypotheses, by its distance from the hint."""
         distance = (tried_index(count, values.device) - hint.index[:, None]).abs().clamp(max=HINT_REACH)
         gate = self.exit(values).clamp(-3, 3).exp()
         return HINT_STRENGTH * hint.weight[:, None] * gate * distance
@@ -134,17 +134,17 @@ def agreement(
     tried: int,
     granted: Float[Tensor, " B"] | float = BENEFIT_OF_DOUBT,
 ) -> Float[Tensor, " B"]:
-    """Return how far a hint agrees with an answer, beyond chance: 1 throughout, about 0 for depth of another scene.
+    """Return the agreement of a hint with an answer beyond chance: 1 if all agree, about 0 for another scene's depth.
 
-    This is Cohen's kappa of being near each other. By chance as many agree as would if the hint's values were dealt out
-    to directions at random: in a hall of one depth that is most of them.
+    This is Cohen's kappa, where to agree is to be within a tolerance. Chance is the agreement of the hint's values
+    assigned to directions at random: in a hall of one depth it is nearly complete.
 
     Args:
-        hint: to be judged.
+        hint: the hint.
         answer: index without it.
         sure: weight of each direction, 0 to 1.
         tried: M = 2 N - 1 hypotheses.
-        granted: share of the directions that agree beforehand, of ``BENEFIT_OF_DOUBT``.
+        granted: share of the directions counted as agreeing beforehand, 0 to ``BENEFIT_OF_DOUBT``.
 
     References:
         Cohen (1960), "A coefficient of agreement for nominal scales".
@@ -168,5 +168,5 @@ def agreement(
 
 
 def _tolerance(index: Tensor) -> Tensor:
-    """Hypotheses that are near an index; those of near things are told from each other less well."""
+    """Tolerance in hypotheses; near depths are told apart less well."""
     return 0.75 + 0.1 * index

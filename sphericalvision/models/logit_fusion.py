@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Logits of hypotheses from two sources, costs of a sweep and a learned prior, added with learned gates."""
+"""Fusion of two sources of logits, the costs of a sweep and a learned prior, by learned gates."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from sphericalvision.models.tried_hypotheses import best_mode
 from sphericalvision.sweep.appearance_at_depth import AppearanceAtDepth
 
 PRIOR_FLOOR = -8.0
-"""Logarithm of a probability below which layers need not tell hypotheses apart: a third of a thousandth."""
+"""Log probability at which the prior is cut before it enters the layers: a third of a thousandth."""
 STRENGTH = 4.0
-"""Of the residual, so that layers may be small."""
+"""Factor of the residual, so that the weights of its layer stay small."""
 MAX_CAMERAS = 6
-"""Cameras of the largest rigs in training. Layers never met larger counts: with twenty the error is a third larger."""
+"""Cameras of the largest rigs in training; more count as these. Uncut, twenty cameras make the error a third larger."""
 
 
 class FusedLogits(NamedTuple):
-    """What ``LogitFusion`` makes of clues.
+    """Result of ``LogitFusion``.
 
     Attributes:
         logits: ``(B, M, V)`` of tried hypotheses.
-        state: ``(B, S, V)`` features for whoever refines them.
-        trust: ``(B, 1)`` in a hint, 0 to 1; None for none.
+        state: ``(B, S, V)`` features for the refinement.
+        trust: ``(B, 1)`` in the hint, 0 to 1; None without one.
     """
 
     logits: Float[Tensor, "B M V"]
@@ -39,17 +39,17 @@ class FusedLogits(NamedTuple):
 
 
 def camera_clue(cameras: Tensor) -> Tensor:
-    """Return how many cameras see a point as layers take it: a rig of many is to them one of ``MAX_CAMERAS``."""
+    """Return the number of cameras that see a point as an input of layers, at most that of ``MAX_CAMERAS``."""
     return cameras.clamp(max=MAX_CAMERAS) / 4
 
 
 class LogitFusion(nn.Module):
     """Add costs and a prior as logits, with a gate for each of the two and a residual at every vertex.
 
-    Logits of independent sources add up (a product of experts). A U-Net that sees all clues, the colours and what is up
-    says how far to trust each of the two, and what both overlook. Gates begin at one and the residual at zero, so
-    training starts from the plain sum: the geometry's precision is there from the first step. A hint, where there is
-    one, is a third source, with layers of its own: without it nothing is computed for it.
+    Logits of independent sources add up (a product of experts). From all clues, the colours and the upward direction a
+    U-Net computes gates, how far to trust each source, and a residual for what both miss. Gates begin at one and the
+    residual at zero: training starts from the plain sum, with the precision of the geometry. A hint is a third source
+    with layers of its own, which do not run without one.
 
     Args:
         num_hypotheses: N.
@@ -75,11 +75,11 @@ class LogitFusion(nn.Module):
         with torch.no_grad():
             self.exit.weight[: num_positions + 2].zero_()
         nn.init.zeros_(self.exit.bias)  # type: ignore[arg-type]
-        #: Logarithms of what costs and prior are multiplied with everywhere.
+        #: Logarithms of the factors of costs and prior at all vertices.
         self.sharpness = nn.Parameter(torch.tensor([math.log(4.0), 0.0]))
 
     def start(self, clues: SweepClues, prior: Float[Tensor, "B M V"]) -> Float[Tensor, "B V"]:
-        """The index ``(B, V)`` that the plain sum of both sources says; arguments as of ``forward``."""
+        """Return the index ``(B, V)`` of the plain sum of both sources, without gates; arguments as of ``forward``."""
         cost_weight, prior_weight = self.sharpness.detach().exp()
         return best_mode(prior_weight * prior - cost_weight * clues.cost)
 
@@ -97,17 +97,17 @@ class LogitFusion(nn.Module):
 
         Args:
             clues: of the sweep.
-            prior: ``(B, M, V)`` its logarithms of probabilities, at the costs' vertices and ``between_hypotheses``.
-            start: ``(B, V)`` as the method of that name has it.
-            appearance: what cameras see there, K = 1.
+            prior: ``(B, M, V)`` log probabilities at the vertices and tried hypotheses of the costs.
+            start: ``(B, V)``, result of the method ``start``.
+            appearance: of the cameras at ``start``, K = 1.
             up: ``(V,)`` the upward coordinate of vertices.
-            rig_size: ``(B,)`` mean distance of cameras from the centre, in least depths.
+            rig_size: ``(B,)`` mean distance of the cameras from the centre, in units of ``min_depth``.
             hint: at the vertices of the costs.
         """
         number = clues.mean.shape[1]
         color, deviation, cameras = (values[:, 0] for values in appearance)
         ones = torch.ones_like(start)
-        # Here and in ``entries`` factors bring clues to like sizes: layers begin with weights of one size for all.
+        # Here and in ``entries`` factors bring inputs to like sizes: all begin with weights of one size.
         numbers = (
             start / number,
             2 * deviation,
@@ -128,12 +128,12 @@ class LogitFusion(nn.Module):
         logits = prior_weight * prior - cost_weight * clues.cost + STRENGTH * residual
         if hint is None:
             return FusedLogits(logits, state)
-        # Judged by the logits before the hint is in them, and where two cameras can compare.
+        # The images judge the hint: by logits before it enters them, and only where two cameras see the point.
         trust = self.hint_gate.trust(hint, hint_clues, logits.detach(), clues.cameras.amax(1) >= 2)
         penalty = self.hint_gate.penalty(hint.trusted(trust), values, self.sizes[0])
         return FusedLogits(logits - penalty, state, trust)
 
     def _weights(self, gates: Tensor) -> tuple[Tensor, ...]:
         """Factors ``(B, 1, V)`` of costs and prior from gates ``(B, 2, V)``."""
-        # A gate changes a factor by 20 times at most, or ``exp`` would make infinities of large gates.
+        # A gate changes a factor by e³ = 20 times at most; ``exp`` of large gates would be infinite.
         return (self.sharpness[:, None] + gates.clamp(-3, 3)).exp().split(1, 1)

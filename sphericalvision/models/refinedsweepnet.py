@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""RefinedSweepNet: depth that starts from geometry's answer and learns what to correct."""
+"""RefinedSweepNet: depth from a semi-global sweep, which a network corrects and refines."""
 
 from __future__ import annotations
 
@@ -65,30 +65,30 @@ PRIOR = {
 }
 """Hyper-parameters of ``icosweepnet-small`` that its weights depend on."""
 SCALES = ("level", "num_hypotheses", "min_depth")
-"""Hyper-parameters of the prior that follow from those of the network around it."""
+"""Hyper-parameters of the prior that the network around it sets."""
 DOUBTFUL = 2.0
-"""Hypotheses: an answer that is expected to be as far off deserves no confidence."""
+"""Error in hypotheses at which the confidence should be 0."""
 FARTHEST = 0.06
-"""Index of the farthest surface, 250 times as far as the nearest hypothesis; no rig tells that from infinity."""
+"""Least index of a surface, at 250 times ``min_depth``: farther than any rig tells from infinity."""
 PRIOR_SHARE = 0.1
-"""Of the prior's own cross entropy in the loss."""
+"""Weight of the prior's own cross entropy in the loss."""
 ENTROPY_SHARE, EXPECTED_ERROR_SHARE = 0.1, 0.1
-"""Of the fused logits' cross entropy, and of the error that is expected by their probabilities. An index is an
-expectation around the best mode, so its error teaches nothing of other modes: these two do."""
+"""Weights of the fused logits' cross entropy and of their expected error. The index is an expectation around the best
+mode, so its error has no gradient for other modes; these two have."""
 EDGE_WEIGHT = 2.0
-"""What a vertex counts in the training beyond the others' 1 if its neighbours are more than a hypothesis apart."""
+"""Additional weight in the loss of a vertex whose ring spans more than one hypothesis."""
 RARE_SKY, MOST = 0.05, 4.0
-"""Sky on a smaller share of the sphere counts in the training as if it were as large, but at most as many times."""
+"""Sky on less than this share of the sphere gets the weight of that share in the loss, up to a factor of ``MOST``."""
 
 
 class RefinedTables(NamedTuple):
-    """A rig made ready for ``RefinedSweepNet``.
+    """Tables of a rig for ``RefinedSweepNet``.
 
     Attributes:
         sweep: of the semi-global sweep.
         prior: of the learned prior's sweep.
         offsets: ``([B,] n, 3)`` from each camera to the rig's centre, metres.
-        seen: ``([B,] n, V_image)`` what fields of view and masks leave of the images.
+        seen: ``([B,] n, V_image)`` True in the fields of view and masks.
     """
 
     sweep: SemiGlobalTables
@@ -106,35 +106,31 @@ class RefinedSweepNet(DepthNetwork):
     """Depth of any rig at the level of its images: a semi-global sweep and a learned prior, fused and refined.
 
     ==========  ==========================  ===============================================================
-
     stage       level                       what it does
     ==========  ==========================  ===============================================================
-
     clues       coarse_level                costs of ``semi_global_costs``; logits of an ``IcoSweepNet``, the prior
     fusion      coarse_level                both added as logits, with gates and a residual: ``LogitFusion``
     refinement  coarse_level + 1 to level   a choice between the depths around each vertex: ``CandidateRefinement``
     ==========  ==========================  ===============================================================
 
-    Clues and fusion see the images averaged down to ``coarse_level + 1``; each step of the refinement sees them at its
-    own level. All steps have the same weights, so ``level`` may be raised after training: that costs steps, but no
-    finer sweep.
+    Clues and fusion take the images averaged down to ``coarse_level + 1``, each refining step at its own level.
+    All steps share their weights, so ``level`` may be raised after training: that adds steps, but no finer sweep.
 
-
-    The sweep is accurate where there is texture, and the prior knows what scenes look like where there is none. It
+    The sweep is accurate where there is texture, and the prior has learned scenes where there is none. The network
     takes two or more cameras in any order, tilted or not, with partial coverage, or panoramas.
 
     Args:
         level: of the icospheres that hold the images and the result, as many as there are widths or more.
         num_hypotheses: N of the resulting index.
         min_depth: radius of the nearest hypothesis in metres.
-        inner_hypotheses: hypotheses that the network works with, whatever N is.
+        inner_hypotheses: hypotheses inside the network, whatever N is.
         prior: hyper-parameters of the ``IcoSweepNet``; those of ``icosweepnet-small`` when not given.
         widths: channels of the fusion's U-Net at each level, from ``coarse_level`` on.
         blocks: residual blocks of the U-Net, one number or one a level.
         refining_blocks: residual blocks of the refinement.
         coarse_level: of clues and fusion, at most ``level - 1``, which it is when not given.
-        details: whether each step of the refinement looks at boundaries in images one level finer, where there are
-            any: ``image_level`` is ``level + 1`` then.
+        details: whether each step of the refinement takes images one level finer at boundaries, if there are any;
+            ``image_level`` is then ``level + 1``.
 
     Raises:
         ArgumentError: for no widths, or a level, or ``coarse_level + 1``, below their number.
@@ -191,11 +187,11 @@ class RefinedSweepNet(DepthNetwork):
 
     @classmethod
     def around(cls, prior: IcoSweepNet, train_prior: bool = False, **hyperparameters: Any) -> Self:
-        """Return a network to be trained around a trained prior, whose weights stay as they are unless told otherwise.
+        """Return an untrained network around a trained prior.
 
         Args:
             prior: for instance ``pretrained("icosweepnet-small")``.
-            train_prior: whether the prior learns, too, at about twice the cost of a step.
+            train_prior: whether the prior learns, too, at about twice the cost of a step; else it stays as it is.
             hyperparameters: of the class, but ``prior``.
 
         Examples:
@@ -214,11 +210,11 @@ class RefinedSweepNet(DepthNetwork):
 
     @property
     def image_level(self) -> int:
-        """Level of the finest images that this network looks at; images of ``level`` will do."""
+        """Level of the finest images that this network uses; it also takes images of ``level``."""
         return self.level + (self.refinement.details is not None)
 
     def tables(self, rig: CameraRig) -> RefinedTables:
-        """Return where each camera sees every point that is tried, to be passed in place of the rig."""
+        """Return the tables of a rig, which may be passed in its place."""
         rig = rig.to(self.device)
         sweep = semi_global_tables(rig, self.inner_hypotheses, self.min_depth, self.coarse_level + 1)
         seen = (
@@ -244,7 +240,7 @@ class RefinedSweepNet(DepthNetwork):
         hints = self.hints(hint)
         fused = self.fuse(clues, coarse, coarse_seen, tables.offsets, hints[0])
         index, confidence, sky, seen_by_two, _ = self.refinements(fused, views, tables.offsets, hints[1:])[-1]
-        # Nothing there: as far as can be. What is there is not: an index of nearly 0 is a depth of kilometres.
+        # Sky is at infinity, index 0. A surface is not: an index of nearly 0 would be a depth of kilometres.
         index = index.clamp(min=FARTHEST).masked_fill(sky >= 0, 0.0)
         scale = (self.num_hypotheses - 1) / (self.inner_hypotheses - 1)
         confidence = confidence.sigmoid().masked_fill(~seen_by_two, 0.0)
@@ -255,14 +251,14 @@ class RefinedSweepNet(DepthNetwork):
         images: Float[Tensor, "B n 3 V_image"],
         seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"],
     ) -> list[tuple[Tensor, Tensor]]:
-        """Return images and what of them was seen at each level from ``coarse_level + 1`` to that of the images."""
+        """Return the images and their ``seen`` at each level from ``coarse_level + 1`` to their own."""
         views = [(images, check_seen(seen, images))]
         for _ in range(self.coarse_level + 1, level_from_num_vertices(images.shape[-1])):
             views.insert(0, coarser_images(*views[0]))
         return views
 
     def _seen(self, tables: RefinedTables, images: Tensor) -> Tensor:
-        """What tables say of images of ``level`` or ``image_level``; of others there is a ``ShapeError``."""
+        """``seen`` of tables for images of ``level`` or ``image_level``; ``ShapeError`` for others."""
         if self.image_level > self.level and images.shape[-1] == self.grid.num_vertices:
             ids = ids_of_coarser_level(self.image_level, self.level, images.device)
             return tables.seen.index_select(-1, ids)
@@ -270,7 +266,7 @@ class RefinedSweepNet(DepthNetwork):
         return tables.seen
 
     def hints(self, hint: DepthHint | None) -> list[HintedIndex] | list[None]:
-        """Return a hint in inner hypotheses at each level from ``coarse_level`` to ``level``; Nones for none."""
+        """Return the hint in inner hypotheses at each level from ``coarse_level`` to ``level``; None for no hint."""
         if hint is None:
             return [None] * (self.level - self.coarse_level + 1)
         hints = [DepthHint(*(values.to(self.up) for values in hint))]  # of numpy they are float64
@@ -288,7 +284,7 @@ class RefinedSweepNet(DepthNetwork):
         tables: RefinedTables,
         seen: Bool[Tensor, "B n V_image"],
     ) -> SweepClues:
-        """Return what geometry and the prior say. Only the prior has weights here."""
+        """Return the results of the sweep, which has no weights, and of the prior."""
         with torch.no_grad():
             evidence, cost = semi_global_costs(images, tables.sweep.sweep, seen)
         mean, best, cameras = evidence.unbind(1)
@@ -324,17 +320,17 @@ class RefinedSweepNet(DepthNetwork):
         hints: Sequence[HintedIndex | None] | None = None,
         modes: tuple[Tensor, Tensor] | None = None,
     ) -> list[RefinedIndex]:
-        """Return the answers at all levels from ``coarse_level + 1`` to ``level``, in inner hypotheses.
+        """Return the index at all levels from ``coarse_level + 1`` to ``level``, in inner hypotheses.
 
         Args:
-            fused: of ``fuse``.
-            views: of the method of that name, a step each; one finer than ``level`` has details for the last.
+            fused: result of ``fuse``.
+            views: result of ``views``, one for each step; one finer than ``level`` has details for the last step.
             offsets: of the tables.
-            hints: at these levels; none when not given.
-            modes: ``two_modes`` of the fused logits, where they are known.
+            hints: at these levels.
+            modes: ``two_modes`` of the fused logits; computed when not given.
         """
         answers, trust = [], fused.trust
-        if hints is not None and trust is not None:  # one that the images refuse is no candidate
+        if hints is not None and trust is not None:  # a hint without trust is no candidate
             hints = [None if hint is None else hint.trusted(trust) for hint in hints]
         steps = self.level - self.coarse_level
         for number, (images, seen) in enumerate(views[:steps]):
@@ -352,12 +348,12 @@ class RefinedSweepNet(DepthNetwork):
         return answers
 
     def _appearance(self, index: Tensor, images: Tensor, seen: Tensor, offsets: Tensor) -> AppearanceAtDepth:
-        """What cameras see at indices ``(B, K, V)``."""
+        """Appearance at indices ``(B, K, V)``."""
         offsets = offsets.expand(images.shape[0], -1, -1)
         return appearance_at_depth(images, seen, offsets, self._inverse_depth(index))
 
     def _around(self, index: Tensor, images: Tensor, seen: Tensor, offsets: Tensor) -> Tensor:
-        """What cameras see around vertices at the nearest and the farthest index, ``(B, 2, V)``, at a boundary."""
+        """Appearance around vertices at the nearest and the farthest index, ``(B, 2, V)``; only at boundaries."""
         offsets, boundary = offsets.expand(images.shape[0], -1, -1), index[:, 0] - index[:, 1] > 1
         return appearance_around(images, seen, offsets, self._inverse_depth(index), boundary)
 
@@ -376,22 +372,21 @@ class RefinedSweepNet(DepthNetwork):
         hint: DepthHint | None = None,
         clues: SweepClues | None = None,
     ) -> Float[Tensor, ""]:
-        """Return a loss of the index at all levels, of the logits, of the prior, and of the confidence.
+        """Return the sum of the losses of the index at all levels, the logits, the prior and the confidence.
 
-        What fewer than two cameras see counts a quarter, what lies beside an edge three times. The logits, fused ones
-        and the prior's, learn the cross entropy of the two hypotheses around the true index, and the fused ones the
-        error that is expected by their probabilities. Of the steps of the refinement the mean counts; they are not
-        computed where neither it nor the gate for hints learns.
-        The confidence learns 1 less the error of the index, in halves of hypotheses up to two; the sky, where the true
-        index is 0: at infinity. Where there is little of it, behind windows, it counts more.
+        Points that fewer than two cameras see have a quarter of the weight, points at edges three times as much. Fused
+        logits and the prior's have the cross entropy of the two hypotheses around the true index, fused ones also their
+        expected error. The steps of the refinement count by their mean, and do not run if neither the refinement nor
+        the gate for hints learns. The target of the confidence falls from 1 to 0 with an error of two hypotheses. Sky
+        is where the true index is 0; where there is little of it, as behind windows, it has more weight.
 
         Args:
-            images: as for ``predict``; so are ``rig``, ``seen`` and ``hint``. With ``clues`` a rig a sample will do.
+            images: as for ``predict``; so are ``rig``, ``seen`` and ``hint``. With ``clues`` a list of rigs is a batch.
             target: the true index.
             valid: where it is known.
             loss: of index, true index and where that is known.
-            clues: result of the method ``clues`` for these images, computed before. The prior does not learn then, and
-                no tables are made of the rig; ``seen`` is needed.
+            clues: result of the method ``clues`` for these images. The prior then does not learn, no tables are made of
+                the rig, and ``seen`` is needed.
         """
         if clues is None or seen is None:
             tables = rig if isinstance(rig, RefinedTables) else self.tables(rig)  # type: ignore[arg-type]
@@ -405,7 +400,7 @@ class RefinedSweepNet(DepthNetwork):
         coarse, coarse_seen = views[0]
         if hint is None and _learns(
             self.fusion.hint_gate
-        ):  # gradients all the same, as several processes want them
+        ):  # zero gradients, as DDP wants some of each weight
             hint = DepthHint(torch.zeros_like(target), torch.zeros_like(target))
         hints = self.hints(hint)
         fused = self.fuse(clues, coarse, coarse_seen, offsets, hints[0])
@@ -445,7 +440,7 @@ def _learns(module: nn.Module) -> bool:
 
 @constant_table
 def _spread_over(number: int, device: torch.device) -> Tensor:
-    """Four of as many hypotheses, from the first to the last."""
+    """Four evenly spaced hypotheses, from the first to the last."""
     return torch.linspace(0, number - 1, 4, device=device).round().long()
 
 
@@ -459,13 +454,14 @@ def _offsets(rig: CameraRig | RefinedTables | list[CameraRig]) -> Tensor:
 
 
 def _loss_of_step(refined: RefinedIndex, true: Tensor, valid: Tensor, loss: Callable[..., Tensor]) -> Tensor:
-    """Of index, confidence and sky at one level."""
+    """Loss of index, confidence and sky at one level."""
     weights = torch.where(refined.seen, 1.0, 0.25) * _edge_weights(true, valid)
     sure = 1 - (refined.index.detach() - true).abs().clamp(max=DOUBTFUL) / DOUBTFUL
     doubt = F.binary_cross_entropy_with_logits(refined.confidence, sure, reduction="none")
     sky = (true <= 0) & valid
     rarity = (RARE_SKY / sky.float().mean(-1, keepdim=True).clamp(min=1e-6)).clamp(1, MOST)
-    # What counts as if it came more often is called so more often. The logit without that says how likely sky is.
+    # More weight shifts a logit by the logarithm of the weight: the loss takes the shifted logit, so that the logit
+    # itself stays that of the probability of sky.
     shifted = refined.sky + rarity.log()
     sky_loss = F.binary_cross_entropy_with_logits(shifted, sky.to(sure), reduction="none")
     doubt = doubt + sky_loss * torch.where(sky, rarity, 1.0)
@@ -473,8 +469,8 @@ def _loss_of_step(refined: RefinedIndex, true: Tensor, valid: Tensor, loss: Call
 
 
 def _edge_weights(true: Tensor, valid: Tensor) -> Tensor:
-    """``(B, V)``: 0 where nothing is known, 1, and more beside an edge of the true index."""
-    # Most of the error lies there, and most of that where the coarse answer has missed or fattened something.
+    """Weights ``(B, V)``: 0 where the true index is unknown, 1, and more at its edges."""
+    # Most of the error is there, and most of that where the coarse index has missed or fattened something.
     rings = vertex_rings(level_from_num_vertices(true.shape[-1]), true.device)
     around, known = true[:, rings], valid[:, rings]
     highest = around.masked_fill(~known, -torch.inf).amax(-1)
@@ -483,7 +479,7 @@ def _edge_weights(true: Tensor, valid: Tensor) -> Tensor:
 
 
 def _loss_of_modes(logits: Tensor, index: Tensor) -> Tensor:
-    """``(B, V)``: cross entropy of logits ``(B, 2 N - 1, V)``, and the mean distance from the index by their shares."""
+    """Cross entropy ``(B, V)`` of logits ``(B, 2 N - 1, V)`` and their expected distance from the index, weighted."""
     likely = logits.log_softmax(1)
     distance = (tried_index(logits.shape[1], logits.device) - index[:, None]).abs()
     expected_error = (likely.exp() * distance).sum(1)

@@ -48,6 +48,7 @@ def test_angle_of_view_stands_for_a_focal_length(tmp_path: Path) -> None:
 
 def test_frames_may_have_lenses_of_their_own(tmp_path: Path) -> None:
     content = sample("transforms.json", camera_model="OPENCV", k3=0.0, k4=0.0, p1=1e-3, p2=0.0)
+    content["frames"][0] |= {key: content.pop(key) for key in ("fl_x", "w")}
     content["frames"][1] |= {"fl_x": 300.0, "w": 640}
     cameras = read_cameras(dump(tmp_path / "transforms.json", content))
     first, second = cameras.values()
@@ -188,14 +189,15 @@ def test_svos_first_age_has_shares_of_the_sides(tmp_path: Path) -> None:
 
 
 def test_sizes_are_those_of_sensors_or_given(tmp_path: Path) -> None:
-    """Of Aria by label; py-OCamCalib tells none; a size that the file has must be met."""
+    """Of Aria by label and principal point; py-OCamCalib tells none; a size that the file has must be met."""
     content = sample("device.json")
     path = dump(tmp_path / "device.json", content)
     assert read_cameras(path)["camera-slam-left"].image_size == (480, 640)
     assert read_cameras(path, image_size=(240, 320))["camera-rgb"].image_size == (240, 320)
-    content["CameraCalibrations"][0]["Label"] = "left"
-    with pytest.raises(ArgumentError, match=r"image_size: .*'left'"):
-        read_cameras(dump(path, content))
+    for label in ("left", "camera-rgb-2"):  # whose sensor has its middle elsewhere
+        content["CameraCalibrations"][0]["Label"] = label
+        with pytest.raises(ArgumentError, match=rf"image_size: .*'{label}'"):
+            read_cameras(dump(path, content))
     path = dump(tmp_path / "c.json", TEXTS["calibration_fisheye.json"])
     assert list(read_cameras(path, image_size=(240, 320))) == ["fisheye_1"]
     with pytest.raises(ArgumentError, match=r"image_size: .*does not tell it"):

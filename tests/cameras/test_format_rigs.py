@@ -394,14 +394,15 @@ def test_bad_frames_and_disabled_cameras_are_left_out_with_a_warning(tmp_path: P
     ):
         assert read_rig(dump(tmp_path / "some.json", content)).names == names[1:]
     chunk = TEXTS["chunk.xml"]
-    path = dump(tmp_path / "cameras.xml", chunk.replace('label="DSC_1"', 'label="DSC_1" enabled="false"'))
+    off = 'label="DSC_1" enabled="false"><reference x="1" y="2"/>'
+    path = dump(tmp_path / "cameras.xml", chunk.replace('label="DSC_1">', off))
     with pytest.warns(UserWarning, match="disabled: DSC_1"):
         assert read_rig(path).names == ["DSC_2"]
     dump(path, chunk.replace('label="DSC_1"', 'label="DSC_1" enabled="true"'))
     assert read_rig(path).names == ["DSC_1", "DSC_2"]
 
 
-SENSOR = '<sensor id="3" label="new" type="TYPE"><resolution width="1920" height="960"/></sensor></sensors>'
+SENSOR = '<sensor id="3" type="TYPE"><resolution width="1920" height="960"/><property value="0"/></sensor></sensors>'
 PHOTO = '<camera id="3" sensor_id="3" label="pano"><transform>1 0 0 0.5 0 1 0 0 0 0 1 0 0 0 0 1</transform></camera>'
 UNUSED = TEXTS["chunk.xml"].replace("</sensors>", SENSOR.replace("TYPE", "frame"))
 

@@ -57,6 +57,7 @@ VALUES: dict[str, list[tuple[str, Any, str]]] = {  # file -> the way to a value,
         ("camera_model", "OPENCV", "k4: expected 0 of the camera_model OPENCV"),
         ("fl_x", -3, "expected positive focal lengths"),
         ("w", 0.5, "w and h: expected the width and height"),
+        ("frames/0/fl_x", 300.0, "frames[0], fl_x: expected what the file says for all frames"),
     ],
     "calibration.json": [
         ("value0/intrinsics/0/camera_type", "spherical", "intrinsics[0], camera_type: expected one of ds, eucm, "),

@@ -7,7 +7,8 @@ Convention:
     ``T_Device_Camera`` takes coordinates of the camera to the device's, in metres; the device is the rig's world. Its
     quaternion is [w, [x, y, z]]. Centres of pixels have whole coordinates.
 
-    The file does not tell sizes. They are those of the sensors in full, by label, unless ``image_size`` is given.
+    The file does not tell sizes. They are those of the sensors in full, by label, if the principal
+    point is in their middle, unless ``image_size`` is given.
 
 References:
     J. Engel et al., "Project Aria: a new tool for egocentric multi-modal AI research", arXiv 2308.13561.
@@ -50,7 +51,12 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
             raise FileFormatError(f"{values.at('Label')}: expected a name, got {short_repr(label)}")
         lens = lens_called(_LENSES, projection.chosen("Name", [lens.name for lens in _LENSES]))
         numbers = projection.numbers("Params", len(lens.keys))
-        sizes = (size for start, size in _SIZES.items() if label.startswith(start))
+        u, v = numbers[lens.names.index("cx") :][:2]
+        sizes = (  # where the axis meets the sensor elsewhere, the numbers are of another size
+            (height, width)
+            for start, (height, width) in _SIZES.items()
+            if label.startswith(start) and max(abs(u / width - 0.5), abs(v / height - 0.5)) < 0.1
+        )
         size = options.image_size or next(sizes, None)
         size = size or options.given_size(f"{projection.where} of {label!r}")
         camera = lens.camera(numbers, size, projection.where)

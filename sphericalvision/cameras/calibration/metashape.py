@@ -82,8 +82,7 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
         elif str(sensor.get("type")).strip() == "spherical":  # a panorama has nothing to calibrate
             sensors.add(name, _camera(Keys(sensor.where), sensor, where), where)
         else:  # of images that were not aligned; ``_of_cameras`` refuses one that was
-            for unused in (sensor, *_each(sensor, "resolution")):
-                unused.read.update(unused)
+            sensor.clear()
         offset = [sensor.get(key) for key in ("rotation", "location")]
         if any(
             value.get("text") if isinstance(value, Keys) else value for value in offset
@@ -115,13 +114,13 @@ def _of_cameras(
     elements = {str(camera.get("id")): camera for camera in _cameras_in(chunk.get("cameras"))}
     components = {str(part.get("id")): part for part in _each(chunk.get("components"), "component")}
     cameras: dict[str, Camera] = {}
-    poses, used, disabled = [], set(), []
+    poses, used = [], set()
+    disabled: dict[str, Keys] = {}
     for camera in elements.values():
         sensor, name = f"cam{camera.get('sensor_id')}", view_name(camera.get("label") or camera.get("id"))
         where = f"{path}, camera {name!r:.80}"
         if str(camera.get("enabled", "true")).strip().lower() in ("false", "0"):
-            disabled.append(name)
-            camera.read.update(camera)
+            disabled[name] = camera
             continue
         master = elements.get(str(camera.get("master_id", camera.get("id"))))
         if master is None:
@@ -150,7 +149,9 @@ def _of_cameras(
         poses.append(pose)
     if not cameras:
         raise FileFormatError(f"{path}: no camera in it is enabled and has a transform")
-    warn_left_out(path, "which the file marks as disabled", disabled)
+    warn_left_out(path, "which the file marks as disabled", list(disabled))
+    for camera in disabled.values():  # which may be the master of another one
+        camera.clear()
     if len(used) > 1:
         raise FileFormatError(
             f"{path}: the cameras are of {len(used)} components, which have no common frame; export one"

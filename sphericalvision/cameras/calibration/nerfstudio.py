@@ -83,6 +83,10 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     calibration, missing = Gathered(options), []
     for frame, has_own in zip(frames, own, strict=True):
         name = view_name(frame.entry("file_path"))
+        if differing := sorted(key for key in _OWN & set(frame) & set(content) if frame[key] != content[key]):
+            raise FileFormatError(  # instant-ngp takes the frame's, nerfstudio the others
+                f"{frame.at(*differing)}: expected what the file says for all frames; keep the right ones"
+            )
         camera = shared if shared and not has_own else _camera(frame.over(content), options)
         calibration.add(name, camera, frame.where, frame.pose("transform_matrix") @ OPENGL_FROM_OPENCV)
         if mask := frame.get("mask_path"):
@@ -107,12 +111,12 @@ def _usable(content: Keys, path: Path) -> list[Keys]:
         )
     warn_left_out(path, "which the file marks as is_bad", [str(frame.get("file_path")) for frame in bad])
     for frame in bad:
-        frame.read.update(frame)
-    return [frame for frame in frames if not any(frame is other for other in bad)]
+        frame.clear()
+    return [frame for frame in frames if frame]
 
 
 def _camera(values: Keys, options: Options) -> Camera:
-    """The lens of a frame, or of all: a frame's own keys count before those at the top."""
+    """The lens of a frame, with its own keys and those at the top, or of all."""
     has_size = "w" in values or "h" in values
     height, width = size = values.size("w", "h") if has_size else options.given_size(values.where, "w and h")
     model = _model(values)
@@ -161,22 +165,20 @@ def _check_coefficients(coefficients: dict[str, float], model: str, values: Keys
 def _focal_lengths(values: Keys, width: int, height: int, is_fisheye: bool) -> list[float]:
     """Along u and v, each as a focal length, else from the angle of view, else as the other one.
 
-    What a frame says in one of these ways counts before what the top says in the other. Files say both; they have to
-    agree, but for fisheyes, of which programs mean several things by the angle.
+    Files say both; they have to agree, but for fisheyes, of which programs mean several things by the angle.
     """
     lengths: list[float] = []
     for key, angle, side in (("fl_x", "camera_angle_x", width), ("fl_y", "camera_angle_y", height)):
-        level = next((part for part in values.layers or (values,) if key in part or angle in part), Keys())
-        half = level.number(angle) / 2 if angle in level else None
-        if key in level:
-            lengths.append(level.number(key))
-        if half is not None and not (key in level and is_fisheye):
+        half = values.number(angle) / 2 if angle in values else None
+        if key in values:
+            lengths.append(values.number(key))
+        if half is not None and not (key in values and is_fisheye):
             if not 0 < half < math.pi / 2:
                 raise FileFormatError(
                     f"{values.at(angle)}: expected radians between 0 and π, got {2 * half:g}"
                 )
             lengths.append(side / 2 / math.tan(half))
-            if key in level and abs(lengths.pop() - lengths[-1]) > 0.01 * lengths[-1]:
+            if key in values and abs(lengths.pop() - lengths[-1]) > 0.01 * lengths[-1]:
                 raise FileFormatError(
                     f"{values.where}: {key} and {angle} tell different lenses; keep the right one"
                 )

@@ -75,9 +75,9 @@ def camera_matrix(
 ) -> tuple[list[float], float | None]:
     """fx, fy, cx and cy of a camera matrix, row by row, and its skew, of models that have one; None is no skew."""
     fx, skew, cx, zero, fy, cy, *last = elements
+    focal_lengths([fx, fy], where)  # first: a camera that was not calibrated has zeros in ROS's messages
     if zero or last != [0.0, 0.0, 1.0]:
         raise FileFormatError(f"{where}: expected the rows fx 0 cx, 0 fy cy and 0 0 1, got {elements}")
-    focal_lengths([fx, fy], where)
     is_skewed = abs(skew) > 1e-9 * fx
     if is_skewed and not has_skew:
         raise FileFormatError(

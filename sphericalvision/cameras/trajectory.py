@@ -196,17 +196,19 @@ class Trajectory:
         return matches
 
     def _by_time(self, images: Sequence[str], times: Sequence[float] | None) -> dict[str, int]:
-        """Image -> the pose nearest in time, where both have times."""
+        """Image -> the pose nearest in time, where both have times; a pose is of the image nearest to it."""
         if are_counts(self.names) or (times is None and are_counts(images)):
             return {}
-        nearest = nearest_in_time(seconds(images) if times is None else times, seconds(self.names))
-        return {image: place for image, place in zip(images, nearest, strict=True) if place is not None}
+        moments, poses = seconds(images) if times is None else times, seconds(self.names)
+        nearest, first = nearest_in_time(moments, poses), nearest_in_time(poses, moments)
+        return {images[k]: n for k, n in enumerate(nearest) if n is not None and first[n] == k}
 
     def _by_name(self, images: Sequence[str]) -> dict[str, int]:
         """Image -> the pose of its name, or of its number where all of the fewer side belong to one of the other.
 
         Numbers are weak names: images may be counted from 1 where poses are counted from 0. They say which is whose
-        only where none is left over; rows, which no file states, only of images that are counted from 0, too.
+        only where none is left over; rows, which no file states and which may be keyframes, only of images that are
+        counted from 0, too, and have a row each.
         """
         if not (are_counts(images) and are_counts([_whole(name) for name in self.names])):
             named = {name: place for place, name in enumerate(self.names)}
@@ -214,7 +216,7 @@ class Trajectory:
         indices = {int(_whole(name)): place for place, name in enumerate(self.names)}
         numbers = {image: int(image) for image in images}
         matches = {image: indices[number] for image, number in numbers.items() if number in indices}
-        is_whole = len(matches) == min(len(images), len(self))
+        is_whole = len(matches) == (len(images) if self.names_are_rows else min(len(images), len(self)))
         return matches if is_whole and (0 in numbers.values() or not self.names_are_rows) else {}
 
 

@@ -321,6 +321,7 @@ def test_up_can_be_what_the_camera_held_up() -> None:
         (["0.0", "0.1", "0.2", "0.3"], ["x", "y"], [0.1, 0.3], {"x": 1, "y": 3}),  # of a video
         (["0.0", "1.0", "2.0"], ["img_0", "img_1", "img_2"], None, {}),  # counts after a word
         (["0.0", "2.0"], ["img_1", "img_2"], None, {}),  # counted from 1
+        (["1.00", "1.05"], ["1.010", "1.001", "1.05"], None, {"1.001": 0, "1.05": 1}),  # one image of a pose
     ],
 )
 def test_images_find_their_poses(
@@ -350,3 +351,6 @@ def test_numbers_belong_together_where_they_state_it(first: int, number: int, ro
     expected = way()[:number] if shifted else way()[first : first + number]
     assert list(trajectory.of_images(images).names) == images
     torch.testing.assert_close(trajectory.of_images(images).world_from_camera, expected)
+    if rows:  # of keyframes
+        with pytest.raises(ArgumentError, match="which pose is whose"):
+            trajectory.of_images([f"{k:06d}" for k in range(NUMBER + 3)])

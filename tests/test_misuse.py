@@ -689,6 +689,8 @@ Charuco(6, 4, 0.03, 0.04) -> marker: Argument
 Charuco(20, 20, 0.04, 0.03) -> dictionary: Argument
 Checkerboard(2, 5, 0.04) -> columns, rows: Argument
 sees(blank()).points(voxel=0.0) -> voxel: Argument
+sees(blank()).points(50) -> min_confidence: Argument
+sees(blank()).mesh(max_depth=NAN) -> max_depth: Argument
 sees(blank()).camera('cam9') -> camera: Argument
 sees(blank()).camera('cam2', torch.eye(4)) -> world_from_camera: Argument
 sees(blank()).camera(camera(), 1000 * torch.eye(4)) -> world_from_camera: Argument

@@ -164,12 +164,12 @@ def copies_warning(depth: Depth) -> str | None:
 def disagreement_warning(depth: Depth) -> str | None:
     """Return a warning about cameras whose images show something else than those of the others."""
     agreement = camera_agreement(depth)
-    lowest = min(agreement.values(), default=1.0)
-    if lowest >= DISAGREES:
+    wrong = [name for name, value in agreement.items() if value < DISAGREES]
+    if not wrong:
         return None
     values = ", ".join(f"{name} {value:.2f}" for name, value in agreement.items())
     return (
-        f"The image of {min(agreement, key=lambda name: agreement[name])} does not show what the others show there "
+        f"Images do not show what the others show there: {', '.join(wrong)} "
         f"(correlation {values}; usual are 0.7 and more). Cameras may be exchanged, mirrored, turned, covered, or of "
         "another moment: compare images= and cameras= with the calibration; depth is wrong where it looks."
     )

@@ -37,7 +37,7 @@ class HintFiles:
     ``.npy``                   such points ``(P, 3)``; or an image of depth
     image                      depth: 16 bits in millimetres, 0 and 65535 where unknown, or floating point in
                                metres, 0 and infinite where unknown; of each camera where the pattern has
-                               ``{camera}``, of any size; else a panorama, twice as wide as high
+                               ``{camera}``, in proportion; else a panorama, twice as wide as high
     ``.npz``                   as ``sphericalvision-predict outputs=[npz]`` writes it
     =========================  ==================================================================================
 
@@ -99,6 +99,12 @@ class HintFiles:
     def _read(self, files: Mapping[str, Path]) -> Hint:
         if self.of_cameras:
             images = {name: _image(path)[None] for name, path in files.items()}
+            for name, image in images.items():
+                (height, width), (rows, columns) = self.rig.cameras[name].image_size, image.shape[-2:]
+                if abs(height * columns - width * rows) > max(height, width):
+                    raise FileFormatError(
+                        f"{files[name]}: expected {width} x {height} or the same in proportion, got {columns} x {rows}"
+                    )
             rig = self.rig.resized({name: image.shape[-2:] for name, image in images.items()})
             return Hint.of_views(Views(images, rig), self.quantity, self.fit)
         (path,) = files.values()

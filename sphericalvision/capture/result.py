@@ -259,14 +259,12 @@ class Depth:
             voxel: side of cubes, in metres, of which each keeps one point, the mean; all points when not given.
 
         Raises:
-            ArgumentError: the depth is of a batch, or ``voxel`` is not positive.
+            ArgumentError: the depth is of a batch, or a number makes no sense.
         """
         from sphericalvision.capture.points import surface_points, voxel_means  # Matplotlib comes with it
 
-        if voxel is not None and not voxel > 0:
-            raise ArgumentError(f"voxel: expected a side in metres above 0, got {voxel!r}")
         inverse_depth, confidence = self.inverse_depth.flatten().float(), self.confidence.flatten().float()
-        mask = self._measured("points", min_confidence, max_depth)
+        mask = self._measured("points", min_confidence, max_depth, voxel)
         rig = self.rig.to(inverse_depth.device)
         cloud = surface_points(self.network.grid, inverse_depth, confidence, mask, rig, self.images)
         return cloud if voxel is None else voxel_means(cloud, voxel)
@@ -298,8 +296,15 @@ class Depth:
         mask, rig = self._measured("mesh", min_confidence, max_depth), self.rig.to(self.index.device)
         return grid_mesh(self.network.grid, self.inverse_depth.flatten().float(), mask, rig, self.images)
 
-    def _measured(self, what: str, min_confidence: float, max_depth: float | None) -> Tensor:
+    def _measured(
+        self, what: str, min_confidence: float, max_depth: float | None, voxel: float | None = None
+    ) -> Tensor:
         """Which of the grid's points count ``(V,)``, of one frame."""
+        if not 0 <= min_confidence <= 1:
+            raise ArgumentError(f"min_confidence: expected 0 to 1, got {min_confidence!r}")
+        for name, metres in (("max_depth", max_depth), ("voxel", voxel)):
+            if metres is not None and not metres > 0:
+                raise ArgumentError(f"{name}: expected metres above 0, got {metres!r}")
         if self.batch_shape:
             raise ArgumentError(f"{what}: this is the depth of a batch; take one frame with depth.select(i)")
         farthest = self.max_depth if max_depth is None else min(max_depth, self.max_depth)

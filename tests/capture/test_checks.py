@@ -94,6 +94,8 @@ def test_what_a_mask_hides_has_no_part_in_the_agreement_of_cameras() -> None:
     clean, other = (camera_agreement(replace(depth, images=images)) for images in (depth.images, spoiled))
     assert other == pytest.approx(clean, abs=0.03)
     assert min(clean.values()) > DISAGREES
+    white = replace(depth, images={**depth.images, "cam1": torch.ones(3, 80, 80)})
+    assert any("there: cam1" in sentence for sentence in capture_warnings(white))
 
 
 def test_photo_consistency_falls_with_wrong_depth() -> None:

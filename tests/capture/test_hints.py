@@ -272,6 +272,10 @@ def test_arrays_in_files_are_read_in_either_byte_order_or_the_file_is_named(tmp_
         np.savez(tmp_path / "wrong.npz", **{**arrays, key: wrong})
         with pytest.raises(FileFormatError, match=r"wrong\.npz: "):
             read("wrong.npz")
+    for name in rig.names:
+        np.save(tmp_path / f"{name}.npy", np.ones((9, 16)))
+    with pytest.raises(FileFormatError, match=r"cam1\.npy: expected 8 x 8 .*, got 16 x 9"):
+        read("{camera}.npy")
 
 
 def test_views_that_agree_with_nothing_are_left_out() -> None:

@@ -65,10 +65,3 @@ def test_aggregations_by_name(generator: torch.Generator, name: str) -> None:
     result = aggregation.train()(random_volume(generator))
     assert result.shape == (2, aggregation.out_channels, 5, 6)
     assert named_aggregation(aggregation, 3, 4) is aggregation
-    if aggregation.any_cameras:
-        assert aggregation(random_volume(generator, 2)).shape == result.shape
-        values, seen = random_volume(generator)
-        order = torch.randperm(4, generator=generator)
-        torch.testing.assert_close(
-            aggregation(SweepVolume(values[:, order], seen[:, order])), aggregation(SweepVolume(values, seen))
-        )

@@ -7,21 +7,13 @@ import math
 
 import pytest
 import torch
-from torch import Tensor
 
 from sphericalvision.cameras import ring_rig
 from sphericalvision.data import SampleView
-from sphericalvision.icosphere import Icosphere, icosphere_rings
+from sphericalvision.icosphere import icosphere_rings
 from sphericalvision.sweep import index_from_inverse_depth, semi_global_sweep
-from sphericalvision.sweep.appearance import local_appearance
 from sphericalvision.sweep.confidence import sweep_confidence
 from tests.worlds import scenes as world_scenes
-
-
-def one_valley(index: Tensor, depth: float, number: int = 16) -> Tensor:
-    """Costs ``(1, number, V)`` of 1, less ``depth`` at an index ``(1, V)``."""
-    cost = torch.ones(1, number, index.shape[-1])
-    return cost.scatter(1, index.long()[:, None], 1 - depth)
 
 
 def test_is_the_logistic_regression_of_margin_and_spread(generator: torch.Generator) -> None:
@@ -43,21 +35,6 @@ def test_is_the_logistic_regression_of_margin_and_spread(generator: torch.Genera
         contrast = float(correlation[sample, one[vertex][one[vertex] >= 0]].mean()) / 0.1
         expected = min(contrast, 1) / (1 + math.exp(-logit))
         assert found[sample, vertex].item() == pytest.approx(expected, rel=1e-4)
-
-
-def test_a_vertex_with_five_neighbours_looks_at_these_alone() -> None:
-    """In tables of six, what stands in the place of the sixth is not vertex 0."""
-    index, full, images = torch.full((1, 642), 7.0), torch.full((1, 642), 0.05), torch.rand(1, 3, 642)
-    others = index.clone(), full.clone(), images.clone()
-    for values in others:
-        values[..., 0] = 0.1
-    (five,) = (Icosphere(3).neighbors[1:, 5] < 0).nonzero(as_tuple=True)  # far from vertex 0
-    for one, other in (
-        (sweep_confidence(one_valley(index, 1.0), full, i, 1) for i in (index, others[0])),
-        (sweep_confidence(one_valley(index, 1.0), f, index, 1) for f in (full, others[1])),
-        (local_appearance(i) for i in (images, others[2])),
-    ):
-        assert torch.equal(one[..., five + 1], other[..., five + 1])
 
 
 @pytest.mark.slow

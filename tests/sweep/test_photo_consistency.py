@@ -84,7 +84,7 @@ def test_local_appearance_by_loops(generator: torch.Generator) -> None:
     grid, images = Icosphere(2, torch.float64), torch.randn(2, 3, 162, generator=generator).double()
     seen = torch.rand(2, 162, generator=generator) > 0.3
     found = local_appearance(images, seen)
-    for sample, vertex in ((0, 0), (0, 1), (1, 40), (1, 90)):
+    for sample, vertex in ((0, 0), (0, 1), (1, 40), (1, 90), (1, 161)):
         ring = [n for n in grid.neighbors[vertex].tolist() if n >= 0 and seen[sample, n]]
         brightness = images[sample].mean(0)
         steps = brightness[ring] - brightness[vertex]

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Aggregation: from what each camera sees at the points of a sweep to one cost volume for all of them.
+"""Aggregation of the cameras' values at the points of a sweep to one cost volume.
 
-A class each. Networks take one by its name or as an object; ``register_aggregation`` gives one's own a name, so that
-files of weights can hold it.
+Networks take an aggregation as an object or by name; ``register_aggregation`` names one's own, for files of weights.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ class Aggregation(nn.Module):
         out_channels: of the volume that ``forward`` returns.
 
     Attributes:
-        any_cameras: whether any number of cameras is taken, and their order changes nothing.
+        any_cameras: whether it takes any number of cameras, in any order, with the same result.
 
     Examples:
         The strongest answer among the cameras that see a point, 0 where none does:
@@ -56,7 +55,7 @@ class Aggregation(nn.Module):
 
 
 def aggregate(aggregation: Aggregation, volume: SweepVolume) -> Float[Tensor, "B C_out N *grid"]:
-    """Return the cost volume of an aggregation, which has as many channels as it states."""
+    """Return the cost volume of an aggregation; ``ShapeError`` if it has not ``out_channels`` channels."""
     result: Tensor = aggregation(volume)
     if result.shape[1] != aggregation.out_channels:
         raise ShapeError(
@@ -67,9 +66,7 @@ def aggregate(aggregation: Aggregation, volume: SweepVolume) -> Float[Tensor, "B
 
 
 class Concatenation(Aggregation):
-    """The channels of all cameras, one camera after the other: ``(B, n * C, N, V)``.
-
-    What the paper does. A network on it is for one number of cameras.
+    """The channels of all cameras, one camera after the other: ``(B, n * C, N, V)``, for one number of cameras.
 
     Args:
         channels: C, of each camera.
@@ -137,8 +134,8 @@ class MeanVariance(Aggregation):
 def mean_and_variance(volume: SweepVolume) -> Float[Tensor, "B C_out N *grid"]:
     """Return mean and variance over the cameras that see a point, and their share: ``(B, 2 * C + 1, N, V)``.
 
-    The variance is small where the cameras agree. The result is the same in any order of the cameras, and of
-    one shape for any number of them. Where no camera sees a point all is zero.
+    The variance is small where the cameras agree. The result does not depend on the order of the cameras, nor its shape
+    on their number. It is zero where no camera sees the point.
 
     References:
         Yao, Luo, Li, Fang and Quan (2018), "MVSNet: depth inference for unstructured multi-view stereo",
@@ -180,9 +177,9 @@ AGGREGATIONS.add("variance", MeanVariance)
 
 
 def register_aggregation(name: str, aggregation: type[Aggregation]) -> None:
-    """Give a class of aggregations a name, by which networks and their files of weights then know it.
+    """Register a class of aggregations under a name, for networks and their files of weights.
 
-    A package that others install names its classes as entry points of ``sphericalvision.aggregations`` instead.
+    Installed packages use the entry points ``sphericalvision.aggregations`` instead.
 
     Args:
         name: as in ``IcoSweepNet(aggregation=name)``.
@@ -207,7 +204,7 @@ def register_aggregation(name: str, aggregation: type[Aggregation]) -> None:
 def named_aggregation(
     aggregation: str | Aggregation, channels: int, num_cameras: int, shuffle: bool = False
 ) -> Aggregation:
-    """Return the aggregation of a name, or the object that was given in its place.
+    """Return the aggregation of a name; an object is returned as it is.
 
     Args:
         aggregation: ``"concatenation"``, ``"variance"``, a name of ``register_aggregation``, or an object.

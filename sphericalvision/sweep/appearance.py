@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Local appearance: a description of each vertex of an image that does not depend on exposure or viewing direction."""
+"""Local appearance: a descriptor of image vertices that does not depend on exposure or viewing direction."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from sphericalvision.shapes import check_shapes
 def local_appearance(
     images: Float[Tensor, "*batch 3 V"], seen: Bool[Tensor, "*batch V"] | None = None
 ) -> Float[Tensor, "*batch 7 V"]:
-    """Describe the neighbourhood of each vertex of images ``(*, 3, V)`` by seven channels ``(*, 7, V)``.
+    """Return a descriptor ``(*, 7, V)`` of the neighbourhood of each vertex of images ``(*, 3, V)``.
 
-    Brightness less the mean of the vertex and its neighbours, and the brightness gradient as a vector in
-    space, both divided by the neighbourhood's contrast (so that exposure does not matter), and the three
-    colours at half weight. A vector in space needs no tangent frame, so cameras agree wherever they look.
+    Its channels are the brightness less the mean of the ring, the brightness gradient as a vector in space, both
+    divided by the contrast of the ring, which cancels exposure, and the three colours at half weight. A vector in space
+    needs no tangent frame: cameras compare whatever their orientation.
 
     Args:
         images: on an icosphere.
-        seen: ``(*, V)`` bool; neighbours that are not seen do not count.
+        seen: ``(*, V)``; neighbours that are not seen do not count.
 
     Examples:
         >>> local_appearance(torch.zeros(2, 3, 162)).shape

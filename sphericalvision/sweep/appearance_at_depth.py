@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the cameras of a rig see at given depths: colours, and how far they agree, at vertices and around them."""
+"""Appearance at given depths: the mean colour of the cameras and its deviation, at vertices and around them."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ def appearance_at_depth(
     offsets: Float[Tensor, "B n 3"],
     inverse_depths: Float[Tensor, "B K V"],
 ) -> AppearanceAtDepth:
-    """Return what cameras see at the points of K inverse depths at each vertex of an icosphere; without gradient.
+    """Return the appearance at K inverse depths at each vertex of an icosphere, without gradient.
 
     Args:
         images: ``(B, n, C, V_image)`` on icospheres aligned with the world.
-        seen: ``(B, n, V_image)`` or ``(n, V_image)`` bool, True where the images show something.
+        seen: ``([B,] n, V_image)``, True where the images show something.
         offsets: ``(B, n, 3)`` from each camera to the rig's centre, metres in the world.
         inverse_depths: ``(B, K, V)`` in 1/m; 0 is infinity.
 
@@ -77,18 +77,18 @@ def appearance_around(
     inverse_depths: Float[Tensor, "B K V"],
     chosen: Bool[Tensor, "B V"],
 ) -> Float[Tensor, "B K D V"]:
-    """Return what cameras see around vertices of an icosphere: in their directions and half-way to their neighbours.
+    """Return the appearance around vertices of an icosphere: there and half-way to the neighbours, without gradient.
 
     At a boundary images of the vertices' own level mix both sides; those of the next finer level have two to four
     pixels there. The D = 4 + C numbers are, in the unit of the images: the deviation, as of ``appearance_at_depth``, at
-    the vertex, its mean and its maximum over the seven directions; how far colours vary over these; and the colour at
-    the vertex. There is no gradient.
+    the vertex, its mean and its maximum over the seven directions; the mean absolute deviation of their colours; and
+    the colour at the vertex.
 
     Args:
         images: as for ``appearance_at_depth``, best one level finer than the vertices; so are ``seen`` and
             ``offsets``.
-        inverse_depths: ``(B, K, V)`` in 1/m, of a vertex and all that is around it.
-        chosen: ``(B, V)``; the result is 0 elsewhere, and a CPU computes nothing there.
+        inverse_depths: ``(B, K, V)`` in 1/m, for all seven directions of a vertex.
+        chosen: ``(B, V)``; the result is 0 elsewhere, where a CPU computes nothing.
 
     Examples:
         >>> images, seen = torch.ones(1, 2, 3, 642), torch.ones(2, 642, dtype=torch.bool)

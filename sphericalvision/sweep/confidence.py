@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Confidence of a sweep: how likely its index is right to within one hypothesis, told from the smoothed costs."""
+"""Confidence of a sweep: the probability that its index is right to within one hypothesis, from smoothed costs."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ def sweep_confidence(
 ) -> Float[Tensor, "B V"]:
     """Return the probability ``(B, V)`` that an index is less than one hypothesis off.
 
-    Two things tell. The *margin* is what any answer costs more that is farther than one and a half hypotheses away:
-    little on bare surfaces, where a far answer is as good. The *spread* is how far the indices within two rings lie
-    apart: at depth edges, where most of the large errors are, it is large. Their logarithms are weighed by a logistic
-    regression. It says nothing where there is less to compare than the noise, so it counts in proportion there.
+    It is a logistic regression of two logarithms. The *margin* is the least additional cost of a hypothesis more than
+    one and a half away: it is small on bare surfaces. The *spread* is the range of indices within two rings: it is
+    large at depth edges, where most of the large errors are. Where the correlation is below that of noise, the
+    probability is lowered in proportion.
 
     Args:
         cost: ``(B, M, V)`` smoothed, of M tried hypotheses.
-        correlation: ``(B, V)`` of the best cameras at the chosen hypothesis.
-        index: ``(B, V)`` chosen, in tried hypotheses.
-        substeps: tried hypotheses for each one that is counted in.
+        correlation: ``(B, V)`` of the best cameras at the index.
+        index: ``(B, V)`` in tried hypotheses.
+        substeps: tried hypotheses for each hypothesis.
 
     Examples:
         >>> cost = torch.ones(1, 16, 162)

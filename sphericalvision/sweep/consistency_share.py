@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How good a depth map is without truth: how far the cameras agree at it, of what they could agree at most."""
+"""Quality of a depth map without truth: the correlation of the cameras at it, as a share of the greatest possible."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ def photo_consistency_share(
     min_depth: float,
     seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
 ) -> Float[Tensor, " B"]:
-    """Return how photo-consistent a depth map is, as a share of what winner-takes-all reaches, 0 to 1.
+    """Return the photo-consistency of a depth map, as a share of that of winner-takes-all, 0 to 1.
 
-    At each vertex the better half of the pairs of cameras is compared by correlation (``correlation_evidence``), once
-    at the depth given and once at the hypothesis where it is greatest, and the sums over the sphere are divided.
-    Exposure does not matter. Winner-takes-all fits noise, too, so 1 is no aim; between two depth maps of the same
-    images, made in the same way, the greater share is the better one, and where nothing has texture it tells nothing.
+    It is the correlation of the better half of the pairs of cameras (``correlation_evidence``), summed over the sphere:
+    that at the depth divided by the greatest over all hypotheses. Exposure does not matter. Winner-takes-all fits
+    noise, too, so 1 is no aim. Of two depth maps of the same images, made in the same way, the one with the greater
+    share is better, unless nothing has texture.
 
     Args:
         index: ``(B, V)``, 0 to N - 1, on an icosphere up to the level of the images.
@@ -44,8 +44,7 @@ def photo_consistency_share(
         rig: of all samples or, with batched poses, a rig a sample; or ``semi_global_tables`` of either.
         num_hypotheses: N, which the index is counted in.
         min_depth: of hypothesis N - 1 in metres.
-        seen: ``(B, n, V_image)`` or ``(n, V_image)`` bool, True where the images show something; all that the rig's
-            fields of view and masks hold when not given.
+        seen: ``([B,] n, V_image)``, True where the images show something; by default the rig's views less its masks.
 
     Returns:
         ``(B,)``; NaN where no two cameras see anything in common.
@@ -86,7 +85,7 @@ def photo_consistency_share(
 def consistency_share(
     place: Float[Tensor, "B V"], correlation: Float[Tensor, "B M V"], known: Bool[Tensor, "B M V"]
 ) -> Float[Tensor, " B"]:
-    """Return the share ``(B,)`` from correlations at M tried hypotheses, of which two cameras see the ``known`` ones.
+    """Return the share ``(B,)`` from correlations at M tried hypotheses; two cameras see those that are ``known``.
 
     Args:
         place: ``(B, V)`` the depth: 0 the first of the tried hypotheses, 1 the last.

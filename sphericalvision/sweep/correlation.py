@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Correlation of cameras: how well what they see around the points of a sweep agrees, pair by pair.
+"""Correlation of the cameras at the points of a sweep, pair by pair.
 
-Two cameras are compared by zero-mean normalised cross-correlation (ZNCC), whose windows are a vertex and its neighbours
-on the swept sphere: what is compared is what the cameras would see if a surface lay there. Everything runs with
-vertices first and hypotheses last, ``(V, planes, N)``: windows gather whole rows, one for all hypotheses, cameras and
-colours at once, and what is done to a plane runs over contiguous memory.
+It is zero-mean normalised cross-correlation (ZNCC). A window is a vertex and its neighbours on the swept sphere, as if
+a surface lay there. Tensors are ``(V, planes, N)``, vertices first and hypotheses last: windows gather whole rows, with
+all hypotheses, cameras and colours, and operations on a plane run over contiguous memory.
 """
 
 from __future__ import annotations
@@ -27,9 +26,9 @@ from sphericalvision.sweep.sphere_sweep import sphere_sweep
 from sphericalvision.sweep.sweep_tables import SweepTables
 from sphericalvision.sweep.visibility import check_seen
 
-#: Contrast below which nothing is told, in the unit of images in [-1, 1]: about one step of 8 bits.
+#: Contrast of noise, in the unit of images in [-1, 1]: about one step of 8 bits.
 NOISE = 0.01
-#: How much of what is interpolated at a point must be seen for the point to count as seen.
+#: Fraction of the interpolation weights that must be seen for a point to count as seen.
 LEAST_SHARE = 0.5
 
 
@@ -41,20 +40,18 @@ def correlation_evidence(
     level: int | None = None,
     noise: float = NOISE,
 ) -> Float[Tensor, "B 3 N V"]:
-    """Return how well cameras agree at every point of a sweep, for a network or ``semi_global_sweep`` to start from.
+    """Return the correlation of the cameras at every point of a sweep, for a network or ``semi_global_sweep``.
 
-    Two cameras agree as far as what they see around the point correlates, whatever their exposures: each colour less
-    its mean around the point, divided by the contrast of all colours together. Where there is nothing but ``noise``
-    to compare the correlation is near 0 whatever the hypothesis, and so it is where cameras contradict each other.
+    In the window around the point each colour, less its mean, is divided by the contrast of all colours: exposure does
+    not matter. The correlation is near 0 where cameras contradict each other or see nothing but ``noise``.
 
     Args:
         images: ``(B, n, C, V_image)`` of two or more cameras: colours in [-1, 1], or other features.
         tables: of the n cameras, for all of the batch or with a batch dimension B.
-        seen: ``(B, n, V_image)`` or ``(n, V_image)`` bool, True where the images show something; everywhere when not
-            given. A point counts as seen if it is in the field of view, and that holds for more than half of what is
-            interpolated there.
-        level: of the result, up to that of the tables, which windows are taken from; theirs when not given.
-        noise: contrast below which nothing is told, in the unit of the images.
+        seen: ``([B,] n, V_image)``, True where the images show something; everywhere when not given. A point counts as
+            seen if it is in the field of view, and more than half of the interpolation weights there are seen.
+        level: of the result, up to that of the tables and their windows; theirs when not given.
+        noise: contrast of noise in the unit of the images.
 
     Returns:
         ``(B, 3, N, V_level)``, differentiable in the images:
@@ -118,7 +115,7 @@ def _evidence_at_once(images: Tensor, valid: Tensor, tables: SweepTables, level:
 def _evidence_by_sample(
     images: Tensor, valid: Tensor, tables: SweepTables, level: int, noise: float
 ) -> Tensor:
-    """One sample after the other, so that what belongs together stays in the cache of a CPU."""
+    """One sample after the other, so that its planes stay in the cache of a CPU."""
     if not len(images):
         return NotImplemented
     shared = tables.ids.ndim == 4
@@ -136,11 +133,10 @@ _evidence = Operator(_evidence_at_once, cpu=_evidence_by_sample, fused=_evidence
 
 
 def _sweep(images: Tensor, valid: Tensor, tables: SweepTables) -> tuple[Tensor, Tensor]:
-    """What cameras see: colours ``(V, n, C, B N)``, 0 where they see nothing, where they do ``(V, n, B N)``, 0 or 1.
+    """Swept colours ``(V, n, C, B N)``, 0 where not seen, and where they are seen ``(V, n, B N)``, 0 or 1.
 
-    The mean over the image is taken off the colours: no correlation depends on it, and it would cost digits. Validity
-    is swept with them, the fraction of what is interpolated that is to be seen; the colours are divided by it, so that
-    a view ends where it does and nothing from outside leaks in.
+    Colours are less the mean of the image, which no correlation depends on and which would cost digits. ``valid`` is
+    swept with them, and they are divided by it, so that nothing from outside of a view leaks in.
 
     References:
         Knutsson and Westin (1993), "Normalized and differential convolution".
@@ -160,21 +156,21 @@ def window_correlations(
 ) -> list[Float[Tensor, "V_level N"]]:
     """Return the correlation ``(V_level, N)`` of each pair of cameras in the windows around the vertices of a level.
 
-    The mean of a window is taken off at each of its vertices, as it is in the window around that vertex, so that
-    squares and products can be averaged afterwards for all cameras and pairs. Where the limits of a view cut a window
-    what is left of it counts; for a pair, as much as is left to the camera that has less.
+    From each vertex of a window the mean of its own ring is subtracted, not that of the window: squares and products
+    are then averaged once, for all cameras and pairs. Where the edge of a view cuts a window, the rest counts; for a
+    pair, the rest of the camera that has less.
 
     Args:
         colors: ``(V, n, C, N)``, 0 where not seen.
         seen: ``(V, n, N)``, 0 or 1.
-        level: of the vertices around which windows lie.
-        noise: contrast below which nothing is told.
+        level: of the centres of the windows.
+        noise: contrast of noise.
     """
     num_cameras = seen.shape[1]
-    # Means over a window count what is seen of it alone: those of values by that of `seen`, the share.
+    # Means over what is seen of a window: the ring mean divided by the share that is seen.
     share = ring_mean(seen).clamp(min=1e-6)
     local = (colors - ring_mean(colors) / share[:, :, None]) * seen[:, :, None]
-    # A camera with all behind it at once, which are its pairs in their order.
+    # Each camera with all later ones at once, in the order of ``_pairs``.
     products = [(local[:, a : a + 1] * local[:, a + 1 :]).sum(2) for a in range(num_cameras - 1)]
     # Squares of each camera and products of each pair, colours summed up: n + n (n - 1) / 2 planes for one gather.
     planes = torch.cat((local.square().sum(2), *products), 1)
@@ -223,9 +219,9 @@ def _pairs(num_cameras: int) -> list[tuple[int, int]]:
 
 
 def _comparators(length: int) -> Iterator[tuple[int, int]]:
-    """Places to compare, one pair after the other, so that any sequence of this length ends up sorted."""
-    # Runs of `merged` values, each in order, become runs of twice as many: compared are values `distance` apart, first
-    # those of two runs, then ever closer ones, and never across the border of what is merged.
+    """Pairs of positions to compare in turn, which sort any sequence of this length."""
+    # Sorted runs of `merged` values are merged in pairs: values `distance` apart are compared, ever closer ones, and
+    # never across the border of a pair.
     merged = 1
     while merged < length:
         distance = merged

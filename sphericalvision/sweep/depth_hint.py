@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``DepthHint``: what is known of depth before a network sees the images."""
+"""``DepthHint``: depth that is known before a network sees the images."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from sphericalvision.sweep.ring_mean import ids_of_coarser_level, ring_mean
 
 
 class DepthHint(NamedTuple):
-    """Depth that a LiDAR, a monocular network or the last frame says of some directions, on a network's icosphere.
+    """Depth of some directions on a network's icosphere, from a LiDAR, a monocular network or the last frame.
 
-    It may be wrong: a network weighs it against what the images show.
+    It may be wrong: a network weighs it against the images.
 
     Attributes:
         inverse_depth: ``(B, V)`` in 1/m from the rig's centre, 0 is infinity; any number where the weight is 0.
-        weight: ``(B, V)`` 0 to 1: by how much it is to be trusted, 0 where nothing is known.
+        weight: ``(B, V)`` trust, 0 to 1; 0 where nothing is known.
 
     Examples:
         >>> hint = DepthHint(torch.full((1, 162), 0.5), torch.zeros(1, 162))
@@ -35,7 +35,7 @@ class DepthHint(NamedTuple):
     weight: Float[Tensor, "B V"]
 
     def coarser(self) -> DepthHint:
-        """Return the hint on the next coarser icosphere: of each vertex its own, or the mean of those around it."""
+        """Return the hint on the next coarser icosphere: the vertex's own, or the mean of its neighbours'."""
         level = level_from_num_vertices(self.weight.shape[-1])
         values = torch.stack(
             (
@@ -48,10 +48,8 @@ class DepthHint(NamedTuple):
         sums = ring_mean((values * self.weight[..., None]).transpose(0, 1), level - 1).transpose(0, 1)
         around = DepthHint(*(sums[..., :2] / sums[..., 2:].clamp(min=1e-6)).unbind(-1))
         ids = ids_of_coarser_level(level, level - 1, self.weight.device)
-        own = DepthHint(self.inverse_depth[:, ids], self.weight[:, ids])
-        return DepthHint(
-            *(mine.where(own.weight > 0, other) for mine, other in zip(own, around, strict=True))
-        )
+        known = self.weight[:, ids] > 0
+        return DepthHint(*(own[:, ids].where(known, mean) for own, mean in zip(self, around, strict=True)))
 
 
 def check_hint(hint: DepthHint, shape: tuple[int, ...]) -> None:

@@ -18,11 +18,11 @@ from sphericalvision.core import ArgumentError, check_type, short_repr
 from sphericalvision.geometry.directions import in_single_precision
 from sphericalvision.shapes import check_shapes
 
-_MOST_INDEX = 1e30  # whose depth is still above zero in float32
+_MAX_INDEX = 1e30  # its depth is still above zero in float32
 MAX_HYPOTHESES = 4096
-"""The most hypotheses: twenty times those of any published network."""
+"""Twenty times the number of any published network."""
 MIN_DEPTHS = 1e-5, 1e5
-"""Metres: far above rounding, and far below the depth of index 0."""
+"""Least and greatest, in metres: far above rounding, and far below the depth of index 0."""
 INVERSE_DEPTH_OFFSET = torch.finfo(torch.float32).eps  # 1/m, added to all hypotheses
 
 
@@ -82,7 +82,7 @@ def inverse_depth_from_index(
     """
     check_hypotheses(num_hypotheses, min_depth)
     index = index.to(torch.promote_types(index.dtype, torch.float32))
-    index = index.clamp(0.0, _MOST_INDEX)  # two floats: converters to ONNX want them alike
+    index = index.clamp(0.0, _MAX_INDEX)  # two floats: converters to ONNX want them alike
     return index * (1 / ((num_hypotheses - 1) * min_depth)) + INVERSE_DEPTH_OFFSET
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How near a scene comes to a rig, found by a sweep: the nearest hypothesis that is worth trying."""
+"""The nearest hypothesis that is worth trying: the least depth of a scene, from a few sweeps."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
 
 ROUNDS, HYPOTHESES, SURE = 3, 32, 0.6
-"""Of sweeps; of each sweep; the confidence above which an answer counts."""
+"""Number of sweeps, their hypotheses, and the confidence above which an index counts."""
 
 
 @torch.no_grad()
@@ -31,19 +31,18 @@ def nearest_depth(
     quantile: float = 0.005,
     margin: float = 0.65,
 ) -> float:
-    """Return the depth in metres that a sweep of these images should begin with, from a few quick sweeps.
+    """Return the ``min_depth`` in metres for a sweep of these images, from a few quick sweeps.
 
-    A hypothesis that nothing in the scene comes near to is wasted: it makes the steps between the others larger. The
-    first sweep begins a fifth outside the outermost camera, where no surface can be; each of the following ones a
-    margin before the nearest surfaces that the one before was sure of.
+    Hypotheses nearer than the scene are wasted, and make the steps between the others larger. The first sweep begins at
+    1.2 times the rig's radius; each of the next a margin before the nearest sure surfaces of the sweep before.
 
     Args:
         sphere_images: ``(B, n, 3, V_image)`` in [-1, 1] on icospheres aligned with the world: frames of one scene, or
             of a sequence.
         rig: of the n cameras, for all frames.
-        seen: ``([B,] n, V_image)`` bool, True where the images show something.
-        quantile: share of what is seen that may be nearer: a few false matches always are.
-        margin: of that depth which is returned.
+        seen: ``([B,] n, V_image)``, True where the images show something.
+        quantile: share of the vertices that may be nearer: a few false matches always are.
+        margin: factor of that depth.
 
     Raises:
         ArgumentError: if all cameras are in one place, or ``margin`` or ``quantile`` are not between 0 and 1.
@@ -76,7 +75,7 @@ def nearest_depth(
         certain, seen_twice = depths[both & (sure > SURE)], depths[both]
         if not len(certain):
             break
-        # A bare floor is nowhere sure, and still there: what is merely seen counts, with more of it left out.
+        # A bare floor is a surface without sure vertices: unsure ones count, too, with a larger share left out.
         surface = torch.minimum(certain.quantile(quantile), seen_twice.quantile(4 * quantile))
         distance = max(least, margin * float(surface))
         if distance < 1.1 * nearest:

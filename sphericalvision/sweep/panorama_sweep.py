@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sphere sweep onto a panorama: where the pixels of concentric spheres appear in the cameras' own images."""
+"""Sphere sweep onto a panorama: the cameras' values at the pixels of concentric spheres."""
 
 from __future__ import annotations
 
@@ -20,15 +20,13 @@ from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hyp
 
 
 class PanoramaTables(NamedTuple):
-    """Where every pixel of every sphere appears in the images of each camera: a rig, made ready.
+    """Tables of a rig: the position of every pixel of every sphere in the image of each camera.
 
-    Tables of a rig that is shared by the batch have no batch dimension. An ``ImageLookup`` is final; these are places
-    in images, some left out (``every_second_pixel``) and some chosen (``at_spheres``) before they are read.
+    A rig that is shared by the batch has tables without a batch dimension.
 
     Attributes:
-        grid: ``([B,] n, D, h, w, 2)`` places as ``grid_sample(align_corners=False)`` wants them.
-        seen: ``([B,] n, D, h, w)`` True where a camera sees the point, inside its field of view, image and mask;
-            occlusion is not known.
+        grid: ``([B,] n, D, h, w, 2)`` positions as ``grid_sample(align_corners=False)`` takes them.
+        seen: ``([B,] n, D, h, w)`` True inside the camera's field of view, image and mask; occlusion is not known.
         image_size: (height, width) of the images that the cameras are calibrated for.
     """
 
@@ -50,7 +48,7 @@ class PanoramaTables(NamedTuple):
         return self._replace(grid=self.grid[..., ::2, ::2, :], seen=self.seen[..., ::2, ::2])
 
     def at_spheres(self, index: Int[Tensor, "B h w"]) -> PanoramaTables:
-        """Return the tables of one sphere whose radius differs from pixel to pixel: that of index ``(B, h, w)``."""
+        """Return the tables of one surface: at each pixel the sphere of an index ``(B, h, w)``."""
         batch, (rows, columns) = len(index), index.shape[-2:]
         chosen = index[:, None, None].expand(batch, self.num_cameras, 1, rows, columns)
         grid = self.grid.expand(batch, *self.grid.shape[-5:])
@@ -59,23 +57,22 @@ class PanoramaTables(NamedTuple):
 
 
 class PanoramaSweep(PlacesInSinglePrecision):
-    """Sweep concentric spheres, whose pixels are those of a panorama, through maps of the cameras' images.
+    """Sweep concentric spheres with the pixels of a panorama through feature maps of the cameras.
 
     A pixel of direction d at inverse depth w is the point ``rig.center + d / w``. A camera at c sees it in the
-    direction ``d + w * (rig.center - c)``, which stays exact up to infinity, and its model says at which pixel.
+    direction ``d + w * (rig.center - c)``, which is exact up to infinity, and projects this.
 
     Convention:
-        Pixel i of a map stands for pixel ``stride * i`` of the image: so it is for any odd kernel of size k whose
-        convolutions have padding (k - 1) / 2 and strides that multiply to ``stride``. Such maps have
-        ceil(size / stride) pixels. Between centres values are linear, half a pixel beyond the outermost ones
-        constant, and out of view zero.
+        Pixel i of a map is centred at pixel ``stride * i`` of the image, as after convolutions with odd kernels of size
+        k, padding (k - 1) / 2 and strides that multiply to ``stride``: maps have ceil(size / stride) pixels. Values
+        are linear between centres, constant for half a pixel beyond the outermost ones, and zero out of view.
 
     Args:
         output_size: (height, width) of the panorama, see ``Equirectangular.with_square_pixels``.
         num_hypotheses: N.
         min_depth: radius of the smallest sphere in metres.
         stride: pixels of the images between those of the maps.
-        every: sweep every second (2) or third (3), ... sphere only, beginning with the farthest.
+        every: 2 sweeps every second sphere, 3 every third, ..., from the farthest on.
 
     Raises:
         ArgumentError: sizes that are not positive, fewer than two hypotheses, a smallest depth that is not
@@ -117,7 +114,7 @@ class PanoramaSweep(PlacesInSinglePrecision):
         self.register_buffer("inverse_depths", hypotheses, persistent=False)
 
     def tables(self, rig: CameraRig) -> PanoramaTables:
-        """Return the tables of a rig, to be passed to ``forward`` in its place as often as wanted.
+        """Return the tables of a rig, which may be passed to ``forward`` in its place.
 
         Raises:
             ArgumentError: if the cameras' images differ in size.
@@ -139,10 +136,10 @@ class PanoramaSweep(PlacesInSinglePrecision):
     def tables_for(
         self, images: Float[Tensor, "B _ C H W"], rig: CameraRig | PanoramaTables
     ) -> PanoramaTables:
-        """Return the tables of a rig, if the images are of the size that it asks for.
+        """Return the tables of a rig for images.
 
         Raises:
-            ShapeError: if they are not, or tables are those of another panorama or number of hypotheses.
+            ShapeError: images of another size, or tables of another panorama or number of hypotheses.
         """
         tables = rig if isinstance(rig, PanoramaTables) else self.tables(rig)
         spheres = (len(self.inverse_depths), *self.grid.shape)
@@ -155,7 +152,7 @@ class PanoramaSweep(PlacesInSinglePrecision):
         return tables
 
     def _normalized(self, pixels: Tensor, seen: Tensor, image_size: tuple[int, int]) -> Tensor:
-        """Places (*, 2) on the maps, as grid_sample counts them."""
+        """Positions (*, 2) on the maps as ``grid_sample`` takes them."""
         height, width = map_size(image_size, self.stride)
         size = pixels.new_tensor([width, height])
         coordinates = torch.minimum((pixels / self.stride).clamp(min=0), size - 1)

@@ -55,8 +55,7 @@ def photo_consistency(
         aggregation: rounds of averaging the cost over the neighbours of a vertex. With one or more, costs are
             computed at the level of the images: steadier, and 16 times the work at the default ``level``.
         subhypothesis: whether to refine the winner to a fraction by a parabola through its neighbours' costs.
-        seen: ``(B, n, V_image)`` or ``(n, V_image)`` bool, True where the images show something; all that the rig's
-            fields of view and masks hold when not given.
+        seen: ``([B,] n, V_image)``, True where the images show something; by default the rig's views less its masks.
 
     Returns:
         Index ``(B, V_level)``, 0 to N - 1; confidence ``(B, V_level)``: 1 minus the ratio of the best to the mean cost;
@@ -94,7 +93,7 @@ def photo_consistency(
     for inverse_depth in inverse_depth_hypotheses(num_hypotheses, min_depth, device=grid.vertices.device):
         tables = sweep_tables(grid.vertices, inverse_depth[None], rig, image_level)
         values, share = sphere_sweep(features, tables).values.squeeze(3).split((7, 1), 2)
-        # As in the sweep for correlations: a view ends where half of what is interpolated is out of it.
+        # As for correlations: a view ends where half of the interpolation weights are out of it.
         costs.append(deviation_cost(values / share.clamp(min=LEAST_SHARE), share.squeeze(2) > LEAST_SHARE))
     cost = torch.stack(costs, 1)
     for _ in range(aggregation):
@@ -108,7 +107,7 @@ def photo_consistency(
 
 
 def deviation_cost(values: Float[Tensor, "B n C V"], seen: Bool[Tensor, "B n V"]) -> Float[Tensor, "B V"]:
-    """Return how far cameras' values ``(B, n, C, V)``, seen where ``(B, n, V)``, lie from their mean: ``(B, V)``.
+    """Return the mean absolute deviation ``(B, V)`` of cameras' values ``(B, n, C, V)``, seen where ``(B, n, V)``.
 
     Infinite where fewer than two cameras see the point.
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From scores of hypotheses to one index: the expectation under a softmax, and how much to trust it."""
+"""Regression from scores of hypotheses to an index: the expectation under a softmax, and its confidence."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from sphericalvision.tables import constant_table
 
 
 class DepthEstimate(NamedTuple):
-    """What a network says: a hypothesis index, the confidence in it (0 to 1), and whether two cameras saw that point.
+    """Result of a network: hypothesis index, its confidence (0 to 1), and whether two cameras see the point.
 
-    All three have the shape of the network's grid, ``(B, V)`` or ``(B, h, w)``. Where ``seen`` is False the index is a
-    guess from the surroundings.
+    All have the shape of the network's grid, ``(B, V)`` or ``(B, h, w)``. Where ``seen`` is False the index is a guess
+    from the surroundings.
 
     Examples:
         >>> index, confidence, seen = depth_estimate(torch.randn(1, 8, 42), torch.ones(1, 2, 8, 42, dtype=torch.bool))

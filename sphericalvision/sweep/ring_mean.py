@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Means over a vertex of an icosphere and its neighbours: the windows within which cameras are compared."""
+"""Means over a vertex of an icosphere and its neighbours, the windows of correlation."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from sphericalvision.tables import constant_table
 def ring_mean(values: Float[Tensor, " V *rest"], level: int | None = None) -> Float[Tensor, " V_level *rest"]:
     """Average values ``(V, *)`` over each vertex of an icosphere and its neighbours.
 
-    Vertices come first, unlike elsewhere: what is averaged together then lies side by side in memory.
+    Vertices come first, unlike elsewhere, so that each is one contiguous row.
 
     Args:
         values: on an icosphere.
-        level: of the vertices whose means are wanted, up to that of the values; theirs when not given. Neighbours
-            are always those of the values' icosphere.
+        level: of the result, up to that of the values; theirs when not given. Neighbours are always those on the
+            icosphere of the values.
 
     Examples:
         >>> peak = torch.zeros(42, 1)
@@ -39,7 +39,7 @@ def ring_mean(values: Float[Tensor, " V *rest"], level: int | None = None) -> Fl
 def coarser_images(
     images: Float[Tensor, "B n C V"], seen: Bool[Tensor, "B n V"]
 ) -> tuple[Float[Tensor, "B n C V_coarse"], Bool[Tensor, "B n V_coarse"]]:
-    """Return images on the next coarser icosphere, means of what was seen around its vertices, and what was seen there.
+    """Return images on the next coarser icosphere, means over the seen vertices of a ring, and their ``seen``.
 
     Examples:
         >>> images, seen = coarser_images(torch.ones(1, 2, 3, 162), torch.ones(1, 2, 162, dtype=torch.bool))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth without training, done well: correlation of the best cameras, smoothed along the lines of the icosphere."""
+"""Depth without training: correlation of the best cameras, smoothed along the lines of the icosphere."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 
 
 class SemiGlobalTables(NamedTuple):
-    """A rig made ready for ``semi_global_sweep``.
+    """Tables of a rig for ``semi_global_sweep``.
 
     Attributes:
-        sweep: tables of the points of all tried hypotheses.
-        seen: ``([B,] n, V_image)`` True where a camera's field of view and mask leave something to be seen.
+        sweep: of the points of all tried hypotheses.
+        seen: ``([B,] n, V_image)`` True inside the camera's field of view and mask.
     """
 
     sweep: SweepTables
@@ -46,11 +46,11 @@ class SemiGlobalTables(NamedTuple):
 
 
 class SmoothedCosts(NamedTuple):
-    """What ``semi_global_sweep`` chooses from, of M tried hypotheses.
+    """Smoothed costs of M tried hypotheses.
 
     Attributes:
         evidence: ``(B, 3, M, V)`` of ``correlation_evidence``.
-        cost: ``(B, M, V)`` smoothed; negative, they are logits. The smallest is the answer.
+        cost: ``(B, M, V)`` smoothed; the smallest wins, and their negatives are logits.
     """
 
     evidence: Float[Tensor, "B 3 M V"]
@@ -74,30 +74,28 @@ def semi_global_sweep(
 ) -> DepthEstimate:
     """Return depth without training, by correlation between cameras and semi-global smoothing on the icosphere.
 
-    At each vertex and hypothesis, the pairs of cameras that see the point are compared by the correlation of the
-    colours around it; the better half of the pairs counts (``correlation_evidence``). These costs are smoothed along
-    the straight lines of the icosphere (``semi_global_smoothing``), less where the colours change; the smallest cost
-    wins, and is refined by a parabola. It takes any rig with any number of cameras, and needs no weights.
+    The cost of a hypothesis is 1 less the correlation of the colours around its point, over the better half of the
+    pairs of cameras that see it (``correlation_evidence``). Costs are smoothed along the straight lines of the
+    icosphere, less where colours change (``semi_global_smoothing``). The smallest wins, and is refined by a parabola.
 
-    Where fewer than two cameras look, or there is no texture, the index is that of the surroundings; confidence and
-    ``seen`` show where.
+    Where fewer than two cameras see the point, or there is no texture, the index is that of the surroundings; ``seen``
+    and the confidence show where.
 
     Args:
         sphere_images: ``(B, n, 3, V_image)`` in [-1, 1] on icospheres aligned with the world, in the order of
             ``rig.names``.
         rig: of n cameras, two or more, for all samples or, with batched poses, a rig a sample; or
-            ``semi_global_tables`` of either, which is most of the work saved where a rig is used again. Tables bring
-            their own ``cost_level`` and ``substeps``.
-        num_hypotheses: N, which index is returned in.
+            ``semi_global_tables`` of either, which save most of the work and have their own ``cost_level`` and
+            ``substeps``.
+        num_hypotheses: N.
         min_depth: smallest depth in metres.
         level: of the result; two below the images' when not given, as ``IcoSweepNet`` has it.
         cost_level: at which cameras are compared; one below the images' when not given.
-        substeps: hypotheses tried for each of the N: two are about a vertex of the images apart when one is two.
+        substeps: hypotheses tried for each of the N.
         small_penalty: of a change by one (tried) hypothesis between neighbours; a cost is 0 to 1.
         large_penalty: of any larger change, where colours do not change.
         contrast: change of colour that halves the large penalty, in the unit of the images.
-        seen: ``(B, n, V_image)`` or ``(n, V_image)`` bool, True where the images show something; all that the rig's
-            fields of view and masks hold when not given.
+        seen: ``([B,] n, V_image)``, True where the images show something; by default the rig's views less its masks.
 
     Returns:
         Index ``(B, V_level)``, 0 to N - 1; confidence ``(B, V_level)``; and whether two cameras see the point at the
@@ -173,7 +171,7 @@ def semi_global_tables(
     substeps: int = 2,
     device: torch.device | str | None = None,
 ) -> SemiGlobalTables:
-    """Return what ``semi_global_sweep`` needs to know of a rig; arguments as there. The rig's device when not given.
+    """Return the tables of a rig for ``semi_global_sweep``; arguments as there, and the rig's device when not given.
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
@@ -194,7 +192,7 @@ def semi_global_tables(
 
 
 def check_tables(seen: Bool[Tensor, "*B n V_tables"], images: Float[Tensor, "B n C V_image"]) -> None:
-    """Raise ``ShapeError`` unless tables of a rig, given what they say is ``seen``, are for images of this size."""
+    """Raise ``ShapeError`` unless tables, of which ``seen`` is given, are for images of this size."""
     if seen.shape[-1] != images.shape[-1]:
         raise ShapeError(
             f"rig: expected tables for images of {images.shape[-1]} vertices, got those for {seen.shape[-1]}; take "
@@ -214,12 +212,10 @@ def semi_global_costs(
 ) -> SmoothedCosts:
     """Return correlations and smoothed costs at the level and hypotheses of a sweep's tables.
 
-    A network that starts from the geometry's answer takes the costs, less than zero, as logits.
-
     Args:
         images: ``(B, n, C, V_image)``, see ``correlation_evidence``.
         tables: of the sweep.
-        seen: ``(B, n, V_image)`` or ``(n, V_image)`` bool, True where the images show something.
+        seen: ``([B,] n, V_image)``, True where the images show something.
         small_penalty: see ``semi_global_smoothing``.
         large_penalty: see there.
         contrast: see there.
@@ -237,14 +233,14 @@ def semi_global_costs(
     evidence = correlation_evidence(images, tables, seen, noise=noise)
     _, best, cameras = evidence.unbind(1)
     valid = cameras >= 2
-    # What two cameras do not see speaks neither for nor against: it costs as much as what they see on average.
+    # Hypotheses that two cameras do not see are neither likely nor unlikely: they cost the mean of the others.
     count = valid.sum(1, keepdim=True)
     cost = 1 - best
     average = cost.masked_fill(~valid, 0.0).sum(1, keepdim=True) / count.clamp(min=1)
     cost = torch.where(valid, cost, average.masked_fill(count == 0, 1.0))
     winner = cost.masked_fill(~valid, torch.inf).min(1).indices  # as argmin, which takes four times as long
-    # Nobody has photographed what is seen from the centre, whose colours say where depth may jump: they are looked up
-    # at the hypothesis that costs least before it is smoothed.
+    # Colours show where depth may jump, but there is no image from the centre: the cameras' colours at the hypothesis of
+    # the least cost before smoothing take its place.
     visible = torch.ones_like(images[:, :, 0]) if seen is None else check_seen(seen, images).to(images)
     guide = _colors_at(images, visible, tables, winner)
     return SmoothedCosts(evidence, semi_global_smoothing(cost, small_penalty, large_penalty, guide, contrast))
@@ -253,7 +249,7 @@ def semi_global_costs(
 def _colors_at(images: Tensor, shown: Tensor, tables: SweepTables, winner: Tensor) -> Tensor:
     """Mean ``(B, C, V)`` over the cameras that see it of the colours at hypotheses ``(B, V)``."""
     batch, _, channels, _ = images.shape
-    # One entry of the tables a vertex is picked before the sweep, which else would look colours up at all hypotheses.
+    # One entry of the tables is picked for each vertex, so that the sweep looks up one hypothesis, not all.
     best = winner[:, None, :, None]
     chosen = []
     for table in (tables.ids, tables.weights, tables[2].unsqueeze(-1)):
@@ -261,7 +257,7 @@ def _colors_at(images: Tensor, shown: Tensor, tables: SweepTables, winner: Tenso
         entries = entries.expand(batch, *entries.shape[1:])
         chosen.append(entries.gather(1, best[..., None].expand(-1, -1, -1, *entries.shape[-2:])))
     at_winner = SweepTables(chosen[0], chosen[1], chosen[2].squeeze(-1))
-    # Weights are swept along with the colours and divided out, so that what is masked does not darken its neighbours.
+    # Weights are swept with the colours and divided out, so that masked vertices do not darken their neighbours.
     features = torch.cat((images * shown[:, :, None], shown[:, :, None]), 2)
     values = sphere_sweep(features, at_winner).values.squeeze(3).sum(1)  # over the cameras
     return values[:, :channels] / values[:, channels:].clamp(min=LEAST_SHARE)

@@ -29,12 +29,12 @@ def semi_global_smoothing(
     guide: Float[Tensor, "B C V"] | None = None,
     contrast: float = 0.1,
 ) -> Float[Tensor, "B N V"]:
-    """Add to the cost of each hypothesis what it takes to reach it along the straight lines through a vertex.
+    """Return the mean cost of each hypothesis over the paths that come to a vertex along its straight lines.
 
     A path comes to vertex p from its predecessor q on the line with ``L(p, i) = C(p, i) + min(L(q, i),
     L(q, i - 1) + P1, L(q, i + 1) + P1, min L(q) + P2) - min L(q)``: no penalty for the same hypothesis, P1 for the
-    next one, P2 for any other. Paths come from all six directions (five at the twelve vertices where lines end),
-    across the seams of the icosphere as anywhere else, and the result is their mean.
+    next one, P2 for any other. Paths come from all six directions (five at the twelve vertices where lines end), also
+    across the seams of the icosphere.
 
     Args:
         cost: ``(B, N, V)``, finite.
@@ -74,10 +74,7 @@ def semi_global_smoothing(
 
 
 def _means_by_adding(cost: Tensor, jumps: Tensor, small_penalty: float, paths: SmoothingPaths) -> Tensor:
-    """Mean ``(B, N, V)`` over the paths that come to a vertex, summed up one line after the other.
-
-    On a CPU that costs a fraction of lookups in as many planes as there are hypotheses.
-    """
+    """Mean ``(B, N, V)`` over the paths that come to a vertex, by ``index_add``: on a CPU faster than lookups."""
     results = _along_paths(cost, jumps, small_penalty, paths, _extended)
     total = cost.new_zeros(cost.transpose(0, 1).shape)
     for lines in paths.kinds:
@@ -112,7 +109,7 @@ def _along_paths(
 ) -> list[Tensor]:
     """Costs ``(N, B, P)`` of all P paths at each step whose results count."""
     planes = cost.transpose(0, 1)  # (N, B, V): a step compares whole planes of all paths at once
-    # A step more than there are, or planes lie multiples of 4096 bytes apart, where they take each other's cache lines.
+    # One step more than needed: planes multiples of 4096 bytes apart would evict each other from the cache.
     ids = torch.cat((paths.ids, paths.ids[:1]))
     *steps, _ = read_entries(planes, ids).unbind(2)
     reached = [steps[0]]
@@ -128,13 +125,13 @@ def _extended(reached: Tensor, cost: Tensor, small_penalty: float, jump: Tensor)
 
 
 def _extended_in_few_steps(reached: Tensor, cost: Tensor, small_penalty: float, jump: Tensor) -> Tensor:
-    """The same but for rounding, by an operator less for each of many steps."""
+    """The same but for rounding, with one operator less a step."""
     return cost + _least(reached - reached.amin(0), small_penalty, jump)
 
 
 def _least(reached: Tensor, small_penalty: float, jump: Tensor) -> Tensor:
-    """Least costs ``(N, B, P)`` of coming to a hypothesis from itself, from one beside it, or by a jump."""
-    # At the ends a hypothesis is its own neighbour, which costs it no less.
+    """Least costs ``(N, B, P)`` of coming to a hypothesis from itself, from its neighbours, or by a jump."""
+    # At the ends a hypothesis is its own neighbour: with P1 added that is never the least.
     ends = torch.cat((reached[:1], reached, reached[-1:]))
     neighbor = torch.minimum(ends[:-2], ends[2:]) + small_penalty
     return torch.minimum(torch.minimum(reached, jump), neighbor)
@@ -143,10 +140,7 @@ def _least(reached: Tensor, small_penalty: float, jump: Tensor) -> Tensor:
 def _jump_penalties(
     guide: Tensor | None, paths: SmoothingPaths, small_penalty: float, large_penalty: float, contrast: float
 ) -> Tensor:
-    """P2 of each step, ``(steps - 1, 1, P)``, or ``(steps - 1, B, P)`` of a guide.
-
-    Zero before a path starts, so that its history is forgotten.
-    """
+    """P2 of each step, ``(steps - 1, 1, P)``, or ``(steps - 1, B, P)`` of a guide; zero before a path starts."""
     if guide is None:
         return (paths.begun * large_penalty).unsqueeze(1)
     colors = read_entries(guide, paths.ids)
@@ -156,16 +150,16 @@ def _jump_penalties(
 
 
 class SmoothingPaths(NamedTuple):
-    """Vertices along P paths that are all as long.
+    """Vertices along P paths of equal length.
 
     Attributes:
-        ids: ``(steps, P)``; before its first vertex a path stays there.
-        begun: ``(steps - 1, P)`` 1 where a step leads on, 0 where a path is still to begin: without a penalty for any
-            change the cost so far is forgotten.
+        ids: ``(steps, P)``; a path that starts later stays at its first vertex until then.
+        begun: ``(steps - 1, P)`` 1 where a step leads on, 0 before a path starts: a jump without penalty forgets all
+            costs so far.
         first: the step from which results count.
-        kinds: which paths are of loops, and which of edges.
-        counts: ``(V,)`` how many results a vertex has.
-        arrivals: which of the results are of a vertex.
+        kinds: the paths of loops, and those of edges.
+        counts: ``(V,)`` number of results of a vertex.
+        arrivals: the results of each vertex.
     """
 
     ids: Int[Tensor, "steps P"]

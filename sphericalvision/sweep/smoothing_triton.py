@@ -22,7 +22,7 @@ def _kernel(  # type: ignore[no-untyped-def]
     inside = path < paths
     hypothesis = tl.arange(0, N)[:, None]
     within = (hypothesis < number) & inside[None, :]
-    # At the ends a hypothesis stands beside itself, which costs it no less.
+    # At the ends a hypothesis is its own neighbour: with the penalty that is never the least.
     before = tl.maximum(hypothesis - 1, 0) + tl.zeros((N, PATHS), tl.int32)
     after = tl.minimum(hypothesis + 1, number - 1) + tl.zeros((N, PATHS), tl.int32)
     planes = cost + (batch * number + hypothesis) * vertices

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sphere sweep: what each camera sees at the points of concentric icospheres around the rig."""
+"""Sphere sweep: the cameras' values at the points of concentric icospheres around the rig."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 
 class SweepVolume(NamedTuple):
-    """What n cameras see at N hypotheses.
+    """Values of n cameras at N hypotheses.
 
     Attributes:
         values: ``(B, n, C, N, V)``, zero outside the fields of view.
-        seen: ``(B, n, N, V)`` True where a camera sees the point: it is inside the field of view, and the image shows
-            something there. Occlusion is not known. For all of a batch it may be an expanded view.
+        seen: ``(B, n, N, V)`` True where a camera sees the point: inside its field of view, and where its image shows
+            something; occlusion is not known. It may be an expanded view.
 
     Examples:
         >>> from sphericalvision.cameras import ring_rig
@@ -75,7 +75,7 @@ def sphere_sweep(
 
 
 def _points_seen(seen: Tensor, tables: SweepTables) -> Tensor:
-    """Whether more than half of what is looked up at a point was seen ``([B,] n, V_f)``, as ``([B,] N, V, n)``."""
+    """Whether more than half of the weights at a point are on vertices seen ``([B,] n, V_f)``: ``([B,] N, V, n)``."""
     seen = seen[None] if seen.ndim == 2 else seen
     if tables.seen.ndim == 4:
         seen = seen.expand(len(tables.seen), *seen.shape[1:])
@@ -146,7 +146,7 @@ class SphereSweep(PlacesInSinglePrecision):
         self.register_buffer("inverse_depths", hypotheses, persistent=False)
 
     def tables(self, rig: CameraRig) -> SweepTables:
-        """Return the tables of a rig, to be passed to ``forward`` in its place as often as wanted."""
+        """Return the tables of a rig, which may be passed to ``forward`` in its place."""
         return sweep_tables(self.directions, self.inverse_depths, rig, self.feature_level)
 
     @check_shapes
@@ -156,13 +156,13 @@ class SphereSweep(PlacesInSinglePrecision):
         rig: CameraRig | SweepTables,
         seen: Bool[Tensor, "#B n V_s"] | Bool[Tensor, "n V_s"] | None = None,
     ) -> SweepVolume:
-        """Sweep values ``(B, n, C, V)`` of the n cameras of a rig, or of its prepared tables.
+        """Sweep values ``(B, n, C, V)`` of the n cameras of a rig.
 
         Args:
             features: on icospheres of ``feature_level``.
             rig: of n cameras, for all of the batch or a rig a sample; or its ``tables``.
-            seen: ``([B,] n, V_s)`` True where the cameras' images show something, on icospheres of the features' level
-                or any finer one. When not given, all that is inside the fields of view was seen.
+            seen: ``([B,] n, V_s)`` True where the images show something, on icospheres of ``feature_level`` or finer
+                ones; everywhere when not given.
 
         Raises:
             ShapeError: if the features are on another level or of another number of cameras than the rig.

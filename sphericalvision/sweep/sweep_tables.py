@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of a sphere sweep: where every camera of a rig sees the points of concentric icospheres."""
+"""Tables of a sphere sweep: the points of concentric icospheres on the icosphere of every camera."""
 
 from __future__ import annotations
 
@@ -20,12 +20,11 @@ from sphericalvision.kernels import Operator
 
 
 class SweepTables(NamedTuple):
-    """Where to look up every (hypothesis, vertex, camera) on the cameras' icospheres: a rig, made ready.
+    """Tables of a rig: the triangle on the camera's icosphere of every (hypothesis, vertex, camera).
 
-    Tables of a rig that is shared by the batch have no batch dimension. They cost one point location for
-    every entry, so a caller with a fixed rig makes them once and passes them in place of the rig. Cameras
-    come last, because then the values of all cameras at one point lie side by side in memory, as
-    channels-last convolutions want them.
+    A rig that is shared by the batch has tables without a batch dimension. An entry is one point location, so tables of
+    a fixed rig are made once and passed in its place. Cameras come last: the values of all cameras at a point are then
+    contiguous, as for channels-last convolutions.
 
     Attributes:
         ids: ``([B,] N, V, n, 3)`` vertex ids on a camera's icosphere.
@@ -67,10 +66,9 @@ def sweep_tables(
 ) -> SweepTables:
     """Locate the points of a sphere sweep on the icosphere of every camera.
 
-    The point of direction d at inverse depth w is ``rig.center + d / w``. A camera at c sees it in the
-    direction of ``d + w * (rig.center - c)``, which stays exact up to infinity (w = 0); camera icospheres are
-    aligned with the world. A point counts as seen if that direction is within the camera's ``max_angle`` of
-    its optical axis; occlusion is not known.
+    The point of direction d at inverse depth w is ``rig.center + d / w``. A camera at c sees it in the direction
+    ``d + w * (rig.center - c)``, which is exact up to infinity (w = 0); its icosphere is aligned with the world. A
+    point counts as seen within the camera's ``max_angle`` of its optical axis; occlusion is not known.
 
     Args:
         directions: ``(V, 3)`` unit vectors in the world frame; their device is the device of the tables.
@@ -95,7 +93,7 @@ def sweep_tables(
     axes, limits = axes.detach(), _limits(max_angles.detach())
     locator = TriangleLocator(feature_level, poses.dtype, poses.device)
     batch = poses.shape[:-3]
-    # A point in one camera has nothing to do with other cameras: those of all rigs are as good as those of one.
+    # Entries do not depend on other cameras: those of all rigs are located as if they were of one.
     points = _points(
         directions.to(poses),
         inverse_depths.to(poses),
@@ -103,7 +101,7 @@ def sweep_tables(
         axes.reshape(-1, 3),
         limits.reshape(-1),
     )
-    if points.directions.is_meta:  # where nobody knows what is in view
+    if points.directions.is_meta:  # without values nothing is known to be in view
         tables = _empty_tables(points)
     elif torch.is_grad_enabled() and any(x.requires_grad for x in points):
         tables, triangles = _locate_seen(points, locator)
@@ -120,10 +118,10 @@ def _by_rig(table: Tensor, batch: torch.Size) -> Tensor:
 
 
 class _Points(NamedTuple):
-    """Points of a sweep as n cameras see them.
+    """Points of a sweep relative to n cameras.
 
-    Coordinates come first, so that every step of the arithmetic runs over contiguous memory. They are written out for
-    every vertex and camera: to repeat so few numbers as there are cameras is slow.
+    Coordinates come first, so that arithmetic runs over contiguous memory. They are written out for every vertex and
+    camera, as broadcasting so short a dimension is slow.
     """
 
     directions: Tensor  # (3, V, n)
@@ -138,11 +136,10 @@ class _Points(NamedTuple):
         return self.directions[:, None, vertices] + offset
 
     def blocks(self, size: int) -> Iterator[tuple[slice, slice]]:
-        """Hypotheses and vertices of about ``size`` entries at once, which follow each other in memory.
+        """Blocks of about ``size`` entries, as slices of hypotheses and vertices.
 
-        Either all vertices of some hypotheses or some vertices of one: such a block of a table is a view without gaps,
-        into which results are written directly, and what lies between points and results stays in the processor's
-        cache.
+        A block is all vertices of some hypotheses or some vertices of one: a contiguous view of a table, into which
+        results are written, and small enough for the processor's cache.
         """
         num_vertices, num_cameras = self.limits.shape
         hypotheses = max(1, size // (num_vertices * num_cameras))
@@ -177,10 +174,7 @@ def _empty_tables(points: _Points) -> SweepTables:
 
 @torch.no_grad()
 def _locate_seen(points: _Points, locator: TriangleLocator) -> tuple[SweepTables, Tensor]:
-    """Locate the points in view alone: the weights of others are zero, and no NaN may reach a gradient.
-
-    Returned as well are the triangles of the points in view, one after the other.
-    """
+    """Locate the points in view alone, and return their triangles, too: weights of others are zero, and without NaN."""
     tables, triangles = _empty_tables(points), []
     corners = F.pad(locator.faces, (0, 0, 1, 0))  # the first row is for what is not in view
     for rays, ids, weights, seen in _blocks_in_view(points, tables, locator.chunk_size):
@@ -195,7 +189,7 @@ def _locate_seen(points: _Points, locator: TriangleLocator) -> tuple[SweepTables
 
 @torch.no_grad()
 def _locate_all(points: _Points, locator: TriangleLocator) -> tuple[SweepTables, Tensor]:
-    """Locate all points, and leave out what is not in view: a device is not asked how many are."""
+    """Locate all points and mask those out of view, so that no device is asked how many there are."""
     tables, triangles = _empty_tables(points), []
     corners = F.pad(locator.faces, (0, 0, 1, 0))
     for rays, ids, weights, seen in _blocks_in_view(points, tables, locator.chunk_size):
@@ -221,10 +215,10 @@ def _differentiable_weights(
 
 
 def _limits(max_angles: Tensor) -> Tensor:
-    """Least cosines of angles in view, less rounding; every direction is in view of half a turn.
+    """Least cosines of angles in view, less rounding; all directions are in view from π on.
 
-    A limit on the cosine costs a fraction of the angle itself. Rounding moves it by some eps / sin(max_angle), which
-    between 1 and 179 degrees is no more than 1e-5 rad in float32.
+    A cosine is cheaper than the angle. Rounding moves the limit by some eps / sin(max_angle): at most 1e-5 rad in
+    float32 between 1 and 179 degrees.
     """
     limits = max_angles.cos() - 4 * torch.finfo(max_angles.dtype).eps
     return torch.where(max_angles >= math.pi, -2.0, limits)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What cameras see of the icospheres that their images are on."""
+"""Visibility: the vertices that each camera sees of the icosphere of its image."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def check_seen(
 ) -> Bool[Tensor, "B n V"]:
     """Return ``seen`` ``([B,] n, V)`` as ``(B, n, V)`` for images ``(B, n, C, V)``, or raise ``ShapeError``.
 
-    What is not bool is an ``ArgumentError``: masks of bytes would count 255 times.
+    Other types than bool are an ``ArgumentError``: masks of bytes would count 255 times.
 
     Examples:
         >>> check_seen(torch.ones(2, 42, dtype=torch.bool), torch.zeros(5, 2, 3, 42)).shape

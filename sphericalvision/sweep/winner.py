@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Winner takes all: from costs of hypotheses to the index of the smallest, refined to a fraction."""
+"""Winner takes all: the index of the smallest cost, refined to a fraction."""
 
 from __future__ import annotations
 

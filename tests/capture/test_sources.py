@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -489,6 +490,18 @@ def test_a_folder_of_each_moment_is_none_of_a_camera(tmp_path: Path) -> None:
             write_image(tmp_path / f"{moment:04d}/{camera}.png", picture(moment))
     frames = opened(str(tmp_path))[0].frames(Selection(), lambda _: True)
     assert list(map(moments_of, frames)) == [{1}, {2}, {3}, {4}]
+
+
+@pytest.mark.parametrize("moments", [3, 4])
+def test_numbers_alone_tell_cameras_where_these_have_all_files(tmp_path: Path, moments: int) -> None:
+    for moment, camera in itertools.product(range(1, moments + 1), range(1, 4)):
+        write_image(tmp_path / f"{moment:04d}_{camera}.png", picture(moment))
+    if moments == len(RIG.names):
+        with pytest.raises(ArgumentError, match=r"{camera}_{frame}\.png, .*{frame}_{camera}\.png; name one"):
+            open_source(str(tmp_path), RIG)
+    else:
+        frames = opened(str(tmp_path))[0].frames(Selection(), lambda _: True)
+        assert list(map(moments_of, frames)) == [{1}, {2}, {3}, {4}]
 
 
 def test_a_link_to_nothing_is_a_frame_that_cannot_be_read(tmp_path: Path) -> None:

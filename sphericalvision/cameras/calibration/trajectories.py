@@ -95,8 +95,9 @@ def read_trajectory(path: str | Path) -> Trajectory:
     if path.is_dir():
         files = [path / name for name in ("images.bin", "images.txt") if (path / name).is_file()]
         if not files:
+            names = ", ".join(sorted(entry.name for entry in path.iterdir()))
             raise MissingFileError(
-                f"{path}: expected images.txt or images.bin in this folder, or a file of poses"
+                f"{path}: expected images.txt or images.bin in this folder, or a file of poses, got {names:.200}"
             )
         trajectory, *others = map(_images, files)
         for other in others:

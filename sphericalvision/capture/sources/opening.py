@@ -212,7 +212,11 @@ def _of_files(folder: Path, files: Iterable[Path], opening: _Opening) -> str | N
     suffixes = sorted({f.suffix for f in files if f.suffix.lower() in (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES)})
     patterns = [pattern for suffix in suffixes for pattern in _layouts(folder, suffix, opening)]
     if not patterns:  # one video of all views, or pictures of them
-        joined = sorted(file for file in files if file.parent == folder and file.suffix in suffixes)
+        joined = sorted(
+            file
+            for file in files
+            if file.parent == folder and file.suffix in suffixes and file.stem not in opening.rig.names
+        )
         videos = [str(file) for file in joined if file.suffix.lower() in VIDEO_SUFFIXES]
         stills = {f"{folder}/{{frame}}{file.suffix}": None for file in joined if str(file) not in videos}
         patterns = [*videos, *stills]
@@ -227,8 +231,8 @@ def _of_files(folder: Path, files: Iterable[Path], opening: _Opening) -> str | N
 
 
 def _layouts(folder: Path, suffix: str, opening: _Opening) -> list[str]:
-    """The layouts of which a folder has files of every camera, with this suffix; each of files of its own."""
-    matches: list[tuple[bool, str, set[Path]]] = []
+    """The layouts of which a folder has files of every camera, with this suffix; each of files or owners of its own."""
+    matches: list[tuple[bool, str, dict[Path, str]]] = []
     is_video = suffix.lower() in VIDEO_SUFFIXES
     layouts = [layout for layout in LAYOUTS if not (is_video and "{frame}" in layout)]
     if len(opening.rig) == 1 and not is_video:
@@ -243,14 +247,18 @@ def _layouts(folder: Path, suffix: str, opening: _Opening) -> list[str]:
         by_number = any(name != label for name, label in labels.items())
         if layout in ("{camera}", "{frame}/{camera}") and by_number:
             continue
-        files = {file for label in labels.values() for file in files_of(pattern, label).values()}
+        files = {file: name for name, label in labels.items() for file in files_of(pattern, label).values()}
         matches.append((by_number, pattern, files))
-    patterns: dict[str, set[Path]] = {}
-    matches.sort(key=lambda match: match[0])  # 0001/cam2.png is of cam2, not of cam1
-    for _, pattern, files in matches:
-        if not any(files <= others for others in patterns.values()):
-            patterns[pattern] = files
-    return list(patterns)
+    # 0001/cam2.png is of cam2, not of cam1; of 1_1.png to 4_10.png all belong to four cameras, and 16 to four frames.
+    matches.sort(key=lambda match: (match[0], -len(match[2])))
+    kept: list[tuple[bool, str, dict[Path, str]]] = []
+    for by_number, pattern, files in matches:
+        if not any(
+            files.keys() <= others.keys() and (not number or files.keys() < others.keys() or files == others)
+            for number, _, others in kept
+        ):
+            kept.append((by_number, pattern, files))
+    return [pattern for _, pattern, _ in kept]
 
 
 def _devices(images: str, rig: CameraRig) -> dict[str, int]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of images as metrics of torchmetrics: means over images, added up over batches and processes."""
+"""Errors of images as metrics of torchmetrics: means over images, summed over batches and processes."""
 
 from __future__ import annotations
 

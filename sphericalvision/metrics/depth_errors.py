@@ -76,7 +76,7 @@ def depth_error(
 
     Args:
         pred_depth: ``(B, V)`` in metres along the ray; larger values count as ``max_depth``, NaN is an infinite
-            error, and what is not positive is never within 1.25.
+            error, and values that are not positive are never within 1.25.
         target_depth: ``(B, V)``; points beyond ``max_depth``, at infinity, NaN or not positive are left out.
         mask: ``(B, V)``, True where the truth counts; everywhere when not given.
         weights: ``(V,)`` or ``(B, V)``, for instance the solid angles of a grid; equal when not given.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What metrics share: weights of points that sum to one in each image, and means with them."""
+"""Shared by metrics: weights of points that sum to one in each image, and weighted means."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ def point_weights(
     mask: Shaped[Tensor, "B V"] | None,
     weights: Shaped[Tensor, " ..."] | None,
 ) -> Float[Tensor, "B V"]:
-    """Return float64 weights ``(B, V)``: zero outside the mask and where the truth is not finite.
+    """Return float64 weights ``(B, V)``, zero outside the mask and where the truth is not finite.
 
-    They are one in total per image, NaN in an image without any.
+    They sum to one in each image, and are NaN in an image without any.
 
     Raises:
         ArgumentError: if a weight that counts is negative or not finite.
@@ -35,7 +35,7 @@ def point_weights(
 
 
 def absolute_error(pred: Shaped[Tensor, "B V"], target: Shaped[Tensor, "B V"]) -> Float[Tensor, "B V"]:
-    """Return ``|pred - target|`` in float64; infinite where it is NaN: what is no number is wrong, never right."""
+    """Return ``|pred - target|`` in float64, infinite where it is NaN: a NaN is wrong, never right."""
     return (pred.double() - target.double()).abs().nan_to_num(nan=torch.inf, posinf=torch.inf)
 
 

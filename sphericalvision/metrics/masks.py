@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where errors count: points that enough cameras see, and the surroundings of the grids' seams."""
+"""Masks of evaluation: points that enough cameras see, and the surroundings of the grids' seams."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def evaluation_mask(
     valid: Shaped[Tensor, "B V"] | None = None,
     least_cameras: int = 2,
 ) -> EvaluationMask:
-    """Leave out points that fewer than two cameras see: no parallax tells their depth.
+    """Leave out points that fewer than two cameras see, whose depth no parallax shows.
 
     Args:
         rig: of all images, or a batch of rigs.
@@ -45,8 +45,7 @@ def evaluation_mask(
         least_cameras: number of cameras that must see a point, 1 or more.
 
     Returns:
-        The mask, and the share of valid points left out: each counts the same, whatever its solid angle (NaN for an
-        image without any).
+        The mask, and the share of valid points left out, not weighted by solid angle; NaN for an image without any.
 
     Raises:
         ArgumentError: if ``least_cameras`` is below 1.
@@ -73,9 +72,7 @@ def evaluation_mask(
 def seam_mask(
     directions: Float[Tensor, "*batch 3"], angle: float = math.radians(5), seams: str = "all"
 ) -> Bool[Tensor, "*batch"]:
-    """Return which directions lie near a seam of the grids that networks work on.
-
-    A network that copes with its grid's seams errs no more there than elsewhere.
+    """Return which directions are near a seam of the networks' grids, where errors should be no larger than elsewhere.
 
     Args:
         directions: ``(*, 3)`` of any length but zero.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The protocol of OmniMVS' own evaluation: inverse depth on a panorama, within 45 degrees of the horizon, N = 192."""
+"""The evaluation protocol of OmniMVS: inverse depth on a panorama, within 45 degrees of the horizon, N = 192."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same errors in several regions of the sphere: near seams and away from them, where cameras overlap or not."""
+"""Errors by region of the sphere: near seams and elsewhere, where cameras overlap or not."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class ByRegion(Metric):
             it is copied for each region.
         regions: name -> ``(V,)`` bool, the places that belong to a region; they may overlap.
 
-    ``update`` takes what the metric's does. ``compute`` returns every error by ``"name"`` for all places and
-    ``"region/name"`` for those of a region, each averaged over the images that have valid points there.
+    ``update`` takes the arguments of the metric's. ``compute`` returns every error as ``"name"`` everywhere and
+    ``"region/name"`` in a region, each averaged over the images with valid points there.
 
     Raises:
         ArgumentError: if there are no regions.
@@ -57,7 +57,7 @@ class ByRegion(Metric):
         mask: Shaped[Tensor, "*#batch"] | None = None,
         **options: Tensor,
     ) -> None:
-        """Add a batch: ``(B, V)`` predictions and truth, an optional ``(B, V)`` mask and what else the metric takes."""
+        """Add a batch: ``(B, V)`` predictions and truth, an optional ``(B, V)`` mask, and the metric's options."""
         for _, metric, inside in self._parts(pred, mask):
             metric.update(pred, target, inside, **options)
 
@@ -68,7 +68,7 @@ class ByRegion(Metric):
         mask: Shaped[Tensor, "*#batch"] | None = None,
         **options: Tensor,
     ) -> dict[str, Float[Tensor, " ..."]]:
-        """Add a batch as ``update`` does, and return the errors of it alone."""
+        """Add a batch as ``update`` does, and return its errors alone."""
         self._computed, self._update_count = None, self._update_count + 1
         return {
             f"{prefix}{error}": value
@@ -77,7 +77,7 @@ class ByRegion(Metric):
         }
 
     def merge_state(self, incoming_state: dict[str, Any] | Metric) -> None:
-        """Add what another ``ByRegion`` of the same regions has seen."""
+        """Add the images of another ``ByRegion`` of the same regions."""
         if (
             not isinstance(incoming_state, ByRegion)
             or incoming_state.by_region.keys() != self.by_region.keys()
@@ -89,7 +89,7 @@ class ByRegion(Metric):
             metric.merge_state(incoming_state.by_region[name])
 
     def _parts(self, pred: Tensor, mask: Tensor | None) -> Iterator[tuple[str, Metric, Tensor | None]]:
-        """What stands before the names of errors, the metric and its mask, everywhere and in each region."""
+        """Prefix of the names of errors, metric and mask, everywhere and in each region."""
         yield "", self.everywhere, mask
         for name, metric in self.by_region.items():
             region = getattr(self, f"region_{name}")

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Metrics of whatever lies on a grid of the sphere, weighted by solid angle: means, latitude profiles, segmentation.
+"""Metrics of values on a grid of the sphere, weighted by solid angle: means and segmentation.
 
-A pixel of an equirectangular image near a pole covers a hundredth of what one at the horizon does; weights by solid
-angle make numbers of different grids, and of different sizes of one grid, the same number.
+A pixel of an equirectangular image covers a hundredth of the area near a pole that it covers at the horizon. With
+weights by solid angle the numbers of all grids, of all sizes, are the same.
 """
 
 from __future__ import annotations
@@ -70,9 +70,9 @@ class _OnGrid(Metric):
 
 
 class SolidAngleMean(_OnGrid):
-    """Mean of values over the sphere, per image and then averaged over images; images without a valid point are out.
+    """Mean of values over the sphere, per image and then over images with a valid point.
 
-    Feed it any error at each place: ``(pred - target).abs()``, ``angular_error(...)``.
+    The values are any error at each point: ``(pred - target).abs()``, ``angular_error(...)``.
 
     Args:
         grid: on which the values lie.
@@ -123,7 +123,7 @@ class SolidAngleIoU(_OnGrid):
     Args:
         grid: on which labels lie.
         num_classes: number of classes; labels are 0 to num_classes - 1.
-        ignore_index: true label of places that do not count.
+        ignore_index: true label of points that do not count.
 
     ``update`` takes predicted and true labels ``(B, *grid.shape)`` and an optional mask. ``compute`` returns
     ``"accuracy"``, ``"mIoU"`` (mean over classes that occur in prediction or truth) and ``"IoU"`` ``(num_classes,)``,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How sure a mean is, and how much of the error a confidence finds."""
+"""Confidence interval of a mean, and sparsification: the error of the most confident points."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sphericalvision.core import ArgumentError
 
 
 class Interval(NamedTuple):
-    """A mean, and bounds between which it lies with the probability asked for."""
+    """A mean, and its bounds."""
 
     mean: float
     low: float
@@ -73,12 +73,12 @@ def error_of_surest(
 
     Args:
         error: ``(B, V)``; NaN is an infinite error.
-        confidence: ``(B, V)``; larger is surer, the scale is of no matter, NaN is least sure.
+        confidence: ``(B, V)`` on any scale; larger is surer, NaN is least sure.
         shares: of the points that count, in (0, 1]; 1 is all of them.
         mask: ``(B, V)``, True where a point counts; everywhere when not given.
 
     Returns:
-        ``(B, len(shares))``; NaN for an image in which nothing counts.
+        ``(B, len(shares))``; NaN for an image without such a point.
 
     Raises:
         ArgumentError: a share outside (0, 1].

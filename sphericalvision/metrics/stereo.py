@@ -17,7 +17,7 @@ def stereo_error(
     mask: Shaped[Tensor, "B V"] | None = None,
     weights: Float[Tensor, " V"] | Float[Tensor, "B V"] | None = None,
 ) -> dict[str, Float[Tensor, " B"]]:
-    """Return MAE, RMSE and MARE of depth or disparity for each image, in the unit of what is given.
+    """Return MAE, RMSE and MARE of depth or disparity for each image, in the unit of the input.
 
     With e = pred − target: the means of |e| and of |e| / target, and the root of the mean of e².
 

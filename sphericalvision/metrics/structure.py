@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What kind of place a point of a depth map is: at an edge, on something thin, on a flat surface."""
+"""Structure of a depth map: edges, thin things and flat surfaces."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sphericalvision.tables import constant_table
 
 
 class DepthStructure(NamedTuple):
-    """Where a depth map has which structure, each ``(*, V)``; the three may overlap or leave points out."""
+    """Masks of edges, thin things and flat surfaces, each ``(*, V)``; they may overlap or leave points out."""
 
     edge: Bool[Tensor, "*batch V"]
     thin: Bool[Tensor, "*batch V"]
@@ -25,13 +25,13 @@ class DepthStructure(NamedTuple):
 def depth_structure(
     index: Float[Tensor, "*batch V"], step: float = 0.8, bend: float = 0.02
 ) -> DepthStructure:
-    """Tell edges, thin things and flat surfaces of a true depth map.
+    """Return the edges, thin things and flat surfaces of a true depth map.
 
     * *edge*: within one ring of vertices the index spreads by more than ``step``;
-    * *thin*: nearer by more than ``step`` than the map is after an opening by two rings: narrower than about four
-      times the distance between vertices;
-    * *flat*: not at an edge, and within two rings the index is that of a plane, up to ``bend``. Along the ray the
-      inverse depth of a plane is a linear function of the direction, so this is a linear fit.
+    * *thin*: nearer by more than ``step`` than the opening of the map by two rings: narrower than about four times the
+      distance between vertices;
+    * *flat*: not at an edge, and within two rings a plane, up to ``bend``. The inverse depth of a plane along the ray
+      is a linear function of the direction, so this is a linear fit.
 
     Args:
         index: ``(*, V)`` of hypotheses, proportional to inverse depth, on an icosphere.

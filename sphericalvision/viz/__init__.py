@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures, point clouds and meshes of what the rest of the package computes."""
+"""Pictures, point clouds and meshes of depth, errors, cameras and rigs."""
 
 from lazy_loader import attach_stub
 

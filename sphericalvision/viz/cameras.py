@@ -28,7 +28,7 @@ def angle_map(
     mask: Bool[Tensor, "h w"] | None = None,
     title: str | None = None,
 ) -> Picture:
-    """Draw the angle from the optical axis over the image: a contour every 10°, and the edge of what is valid in red.
+    """Draw the angle from the optical axis over the image: a contour every 10°, the edge of validity in red.
 
     Args:
         camera: a single camera.

@@ -96,7 +96,7 @@ def depth_ticks(
 
 
 def fade(colors: Picture, strength: Values) -> Picture:
-    """Mix colours ``(*, 3)`` with the grey of what is unknown: all colour at strength ``(*)`` 1, all grey at 0.
+    """Mix colours ``(*, 3)`` with the grey of unknown points: all colour at strength ``(*)`` 1, all grey at 0.
 
     Examples:
         >>> fade(np.array([[208, 8, 128]], np.uint8), torch.tensor([0.5])).tolist()
@@ -108,12 +108,12 @@ def fade(colors: Picture, strength: Values) -> Picture:
 
 
 def near_end(depth: Values, min_depth: float) -> float:
-    """Return a round depth in metres for the red end of a scale, so that the colours are made use of.
+    """Return a round depth in metres for the red end of a scale, near the nearest surfaces.
 
-    Few rigs have anything at the nearest depth that is tried. With red there, all the rest would be dark blue.
+    Few scenes have surfaces at ``min_depth``; with red there all others would be dark blue.
 
     Args:
-        depth: ``(*)`` metres, evenly spread; NaN is unknown. A hundredth of what is known may be nearer.
+        depth: ``(*)`` metres, evenly spread; NaN is unknown. A hundredth of the known ones may be nearer.
         min_depth: metres; the result is not below.
 
     Examples:
@@ -149,7 +149,7 @@ def _to_numpy(values: Values) -> npt.NDArray[np.float64]:
 
 
 def colorize(scaled: npt.NDArray[np.float64], color_map: str) -> Picture:
-    """Map values (*) in [0, 1] through a map of OpenCV's, named in small letters, to uint8 (*, 3); NaN becomes grey."""
+    """Map values (*) in [0, 1] to uint8 colours (*, 3) by a colour map of OpenCV, in lower case; NaN becomes grey."""
     table = _table(color_map)
     unknown = np.isnan(scaled)
     positions = (np.clip(np.where(unknown, 0, scaled), 0, 1) * (len(table) - 1)).astype(np.int64)
@@ -159,7 +159,7 @@ def colorize(scaled: npt.NDArray[np.float64], color_map: str) -> Picture:
 
 @lru_cache(maxsize=8)
 def _table(color_map: str) -> Picture:
-    """The colours of a map, as OpenCV has them, and the grey of what is unknown after them."""
+    """The colours of a map of OpenCV, and after them the grey of unknown points."""
     codes = {name[9:].lower(): code for name, code in vars(cv2).items() if name.startswith("COLORMAP_")}
     check_choice("color_map", color_map, tuple(codes))
     shades = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[None], codes[color_map])[0, :, ::-1]

@@ -27,7 +27,7 @@ def add_scale_bar(
     label: str,
     faded: bool = False,
 ) -> Picture:
-    """Put a colour bar below a picture, whose pixels stay as they are; ``sheet`` puts a title above it.
+    """Put a colour bar below a picture; ``sheet`` puts a title above it.
 
     Args:
         picture: uint8 ``(h, w, 3)``; narrow ones are enlarged by a whole factor, without smoothing.
@@ -66,10 +66,7 @@ def _write(picture: Picture, text: str, middle: int, bottom: int) -> None:
 
 
 def sheet(pictures: Mapping[str, Picture] | Sequence[Picture], columns: int = 1, gap: int = 12) -> Picture:
-    """Lay out pictures on a white sheet, row by row, each below its title.
-
-    Smaller pictures stand in the middle of their cell; nothing is rescaled but pictures too narrow for
-    their title.
+    """Lay out pictures on a white sheet, row by row, each below its title and in the middle of its cell.
 
     Args:
         pictures: title -> uint8 ``(h, w, 3)``, or such pictures without titles.
@@ -108,7 +105,7 @@ def sheet(pictures: Mapping[str, Picture] | Sequence[Picture], columns: int = 1,
 
 
 def strip(pictures: Sequence[Picture], width: int, gap: int = 12, most: int = 6) -> Picture:
-    """Lay out pictures in full rows of a width, rescaled so that no place is left over.
+    """Lay out pictures in rows of one width, rescaled so that they fill it.
 
     Args:
         pictures: uint8 ``(h, w, 3)``; those of a row become equally high.
@@ -154,7 +151,7 @@ def figure_pixels(figure: Figure) -> Picture:
 
 
 def _text_row(text: str, width: int) -> Picture:
-    """One line of black text on white, ``width`` pixels wide, at least 24 high; long text gets smaller."""
+    """One line of black text on white, ``width`` pixels wide and 24 high; long text gets smaller."""
     font, thickness, scale = cv2.FONT_HERSHEY_SIMPLEX, 1, 0.6
     text = text.encode("ascii", "replace").decode()
     extent = cv2.getTextSize(text, font, scale, thickness)[0][0]

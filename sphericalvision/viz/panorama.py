@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Panoramas to look at: depth with a scale in metres, errors, and colour stitched from a rig's images."""
+"""Panoramas as pictures: depth with a scale in metres, errors, and colours stitched from a rig's images."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def depth_panorama(
 def confidence_strength(
     confidence: Float[Tensor, "*shape"], seen: Bool[Tensor, "*shape"]
 ) -> Float[Tensor, "*shape"]:
-    """Return how much colour depth of a confidence keeps: none where fewer than two cameras look, all from 0.9 on.
+    """Return the strength of colour for a confidence: 1 from 0.9 on, 0 where fewer than two cameras see the point.
 
     Examples:
         >>> sure, seen = torch.tensor([0.0, 0.65, 0.95, 0.95]), torch.tensor([True, True, True, False])
@@ -76,9 +76,9 @@ def confidence_strength(
 
 
 _LEAST = 0.15
-"""Of its colour, what a depth keeps that nothing speaks for."""
+"""Strength of the least confidence."""
 _UNSURE, _SURE = 0.4, 0.9
-"""Confidence at which it keeps the least, and all: nearly everything that networks see well has more than 0.9."""
+"""Confidences of the least and of full strength: nearly all points that networks see well have more than 0.9."""
 
 
 @check_shapes
@@ -133,9 +133,8 @@ def rgb_panorama(
 ) -> tuple[Float[Tensor, "c H W"], Bool[Tensor, "H W"]]:
     """Stitch a rig's images to a panorama seen from the rig's centre.
 
-    Each point of the panorama, at its depth, is looked up in every camera that sees it; cameras that see it
-    nearer to their axis count more. Points that are hidden from a camera are not treated apart, so edges
-    may show ghosts.
+    Each point of the panorama, at its depth, has the colours of all cameras that see it, weighted more near their axis.
+    Occlusion is not known, so edges may show ghosts.
 
     Args:
         rig: unbatched.

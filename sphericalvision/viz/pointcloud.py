@@ -88,9 +88,9 @@ def _ply(points: npt.NDArray[Any], colors: npt.NDArray[Any], normals: npt.NDArra
 def point_colors(
     rig: CameraRig, images: Mapping[str, Shaped[Tensor, "c _ _"]], points: Float[Tensor, "n 3"]
 ) -> tuple[Float[Tensor, "c n"], Bool[Tensor, " n"]]:
-    """Return colours ``(c, n)`` of points ``(n, 3)``, zero where no camera looks, and where some camera does ``(n,)``.
+    """Return colours ``(c, n)`` of points ``(n, 3)``, zero where no camera sees them, and where one does ``(n,)``.
 
-    Cameras that see a point nearer to their axis count more. What stands in the way is not known.
+    Cameras count more near their axis. Occlusion is not known.
 
     Raises:
         ArgumentError: the images' names are not the cameras'.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A rig drawn in 3D and from above, and how many of its cameras look where."""
+"""Drawings of a rig in 3D and from above, and of its coverage of the sphere."""
 
 from __future__ import annotations
 
@@ -32,10 +32,9 @@ _ROUND = torch.linspace(0, 2 * math.pi, 181, dtype=torch.float64)
 def rig_picture(rig: CameraRig) -> Picture:
     """Draw a rig in 3D and, below, from above: positions, axes and fields of view.
 
-    In 3D a field of view is the curve that its edge draws on a sphere around the camera; wider than 180° it lies behind
-    the camera. The axes x, y and z of the cameras and of the rig are red, green and blue; the squares of the ground
-    have sides of a length that is written beside them. From above a field of view is the part of the horizontal plane
-    that the camera sees.
+    In 3D a field of view is the curve of its edge on a sphere around the camera, behind it if wider than 180°. The axes
+    x, y and z of the cameras and of the rig are red, green and blue, and the length of the squares on the ground is
+    written next to them. From above a field of view is the part of the horizontal plane that the camera sees.
 
     Args:
         rig: single.

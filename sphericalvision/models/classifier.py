@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A small classifier of what lies on a sphere, with five kinds of convolutions and otherwise the same."""
+"""A small classifier on the sphere, with one of five kinds of convolutions."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class SphereClassifier(SphereNetwork):
         return self.head(features @ self.share)
 
     def _shares(self) -> Tensor:
-        """Return each place's share in the mean after the convolutions, ``(n,)``."""
+        """Return the weight of each point in the mean after the convolutions, ``(n,)``."""
         if isinstance(self.grid, Icosphere):
             areas = Icosphere(self.level - 2).solid_angles
         else:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A U-Net on icospheres whose convolutions know true neighbours everywhere."""
+"""A U-Net of hexagonal convolutions on icospheres."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from sphericalvision.icosphere import icosphere_upsample
 
 
 class HexResidualBlock(nn.Module):
-    """Add to values ``(B, C, V)`` what two hexagonal convolutions make of them; nothing before training.
+    """A residual block of two hexagonal convolutions of values ``(B, C, V)``; the identity before training.
 
-    The second convolution begins at zero, which takes the place of normalisation: values on the whole sphere keep
-    their scale, and a sample's result depends on nothing but the sample.
+    The second convolution begins at zero, in place of normalisation: values keep their scale, and the result of a
+    sample does not depend on others.
 
     References:
         Zhang et al. (2019), "Fixup initialization: residual learning without normalization"; He et al. (2015), "Delving
@@ -41,9 +41,7 @@ class HexResidualBlock(nn.Module):
 
 
 class HexUNet(nn.Module):
-    """Map values ``(B, C, V)`` on an icosphere to as many channels, each vertex knowing ever wider surroundings.
-
-    Before training it changes nothing.
+    """A U-Net of values ``(B, C, V)`` on an icosphere; the identity before training.
 
     Args:
         widths: channels at the level of the values and at each coarser one.
@@ -71,8 +69,8 @@ class HexUNet(nn.Module):
         steps = list(pairwise(widths))
         self.down = nn.ModuleList(_blocks(*level) for level in zip(widths, counts, strict=True))
         self.coarsen = nn.ModuleList(_keeping_size(fine, coarse, stride=2) for fine, coarse in steps)
-        # What the coarser levels say at random would be noise, and the first steps of a training would make it smaller.
-        # From zero, values of these levels stay larger; a high learning rate silences them all the same.
+        # Random values of the coarser levels would be noise, which the first steps of a training would make smaller.
+        # From zero these levels keep larger values; a high learning rate silences them all the same.
         self.refine = nn.ModuleList(_at_zero(nn.Conv1d(coarse, fine, 1)) for fine, coarse in steps)
         self.up = nn.ModuleList(_blocks(*level) for level in zip(widths[:-1], counts, strict=False))
 

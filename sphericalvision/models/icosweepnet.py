@@ -52,8 +52,8 @@ if TYPE_CHECKING:
 class IcoSweepNet(DepthNetwork):
     """Depth all around from the images of any rig, projected onto icospheres.
 
-    The weights depend neither on the level nor on the number of hypotheses or the rig: all three may be
-    changed after training, though a network is best at what it was trained for.
+    The weights do not depend on the level, the number of hypotheses or the rig: all may be changed after training,
+    though a network is best at those of its training.
 
     Convention:
         As for ``DepthNetwork``; images, which ``ToSphere`` makes, are 0 outside the field of view and under masks.
@@ -121,7 +121,7 @@ class IcoSweepNet(DepthNetwork):
     def _estimate(
         self, images: Tensor, rig: CameraRig | SweepTables, seen: Tensor | None, hint: DepthHint | None
     ) -> DepthEstimate:
-        # A line a stage; the largest tensors share one name, so that each goes as soon as the next one stands.
+        # A line a stage; the largest tensors share one name, so that each is freed when the next one is there.
         features = self.extract_features(images)
         volume, views = self.sweep(features, rig, seen)
         volume = aggregate(self.aggregation, SweepVolume(volume, views))
@@ -199,7 +199,7 @@ class FeatureExtractor(RecomputedModule):
 
     def forward(self, images: Float[Tensor, "B C_in V_image"]) -> Float[Tensor, "B C V"]:
         crown = exchange(convolve_twice(to_crown(images), self.entry, self.second))
-        # Of what a training step would keep a sixth lies inside the finest blocks, for a thirtieth of its work.
+        # The finest blocks hold a sixth of the memory of a training step, and are a thirtieth of its work.
         fine = exchange(self.fine(crown) if self.recompute else recompute_if_large(self.fine, crown))
         crown = exchange(self.coarse(fine))
         if self.coarsening == 1:
@@ -212,8 +212,8 @@ def camera_by_camera(
 ) -> Float[Tensor, "B n C *size_of_features"]:
     """Return the features ``(B, n, C, *)`` of the images ``(B, n, 3, *)`` of n cameras.
 
-    Statistics of the batch, which batch normalisation takes in training, are those of one camera at a time, and running
-    statistics take one step a camera. Everything else sees no difference, and gets all cameras in one batch.
+    In training, batch normalisation takes the statistics of one camera at a time, and running statistics take one step
+    a camera. Without it all cameras are one batch.
 
     References:
         Komatsu et al. (2020), "360° depth estimation from multiple fisheye images with origami crown
@@ -233,9 +233,9 @@ def _extract_each(images: Tensor, extractor: nn.Module) -> Tensor:
 
 
 def _extract_in_groups(images: Tensor, extractor: nn.Module) -> Tensor:
-    """All cameras in one batch, of which normalisations take statistics camera by camera.
+    """All cameras in one batch, in which normalisations take statistics camera by camera.
 
-    What is recomputed would be by other groups, and compilers make one graph of the cameras anyway.
+    Not with recomputed blocks, whose groups would differ, nor for compilers, which make one graph of the loop.
     """
     norms = [part for part in extractor.modules() if _takes_statistics_of_the_batch(part)]
     grouped = [norm for norm in norms if isinstance(norm, CrownBatchNorm2d) and norm.momentum is not None]
@@ -256,7 +256,7 @@ _extract = Operator(_extract_each, fused=_extract_in_groups)
 
 
 def _takes_statistics_of_the_batch(part: nn.Module) -> bool:
-    """Instance normalisation is of the same class, but keeps no running statistics."""
+    """Whether a module is a batch normalisation in training; instance normalisation has no running statistics."""
     return isinstance(part, _BatchNorm) and part.training and part.running_mean is not None
 
 
@@ -266,15 +266,15 @@ class CostRegularizer(nn.Module):
     ==========  ================================  ==================================================
     name        channels                          what it does
     ==========  ================================  ==================================================
-    fusion      in -> fusion -> 2 * channels      brings the cameras together
-    blocks      2 * channels, four times two      are added to what they are given
-    reduction   2 * channels -> channels          begins the last pair of convolutions
-    score       channels -> 1                     ends it
+    fusion      in -> fusion -> 2 * channels      combines the cameras
+    blocks      2 * channels, four times two      residual blocks
+    reduction   2 * channels -> channels          first of the last pair of convolutions
+    score       channels -> 1                     second of it
     ==========  ================================  ==================================================
 
-    Every convolution but the last is normalised, and a ReLU lies between the two of a pair. A pair ends with the mean
-    of the crown's two directions, which is where they exchange what they know. That mean is linear and leaves values
-    that both agree on as they are, so residuals are added on vertices, not on crowns.
+    Every convolution but the last is normalised, with a ReLU between the two of a pair. A pair ends with the mean of
+    the crown's two directions, their exchange. That mean is linear and keeps equal values, so residuals are added on
+    vertices, not on crowns.
 
     Args:
         in_channels: of the volume.
@@ -310,7 +310,7 @@ class CostRegularizer(nn.Module):
         return self.refine(self.fusion(volume))
 
     def refine(self, volume: Float[Tensor, "B C N V"]) -> Float[Tensor, "B N V"]:
-        """Score what ``fusion`` returns; who calls both in turn can let go of the large volume in between."""
+        """Score the result of ``fusion``; a caller of both in turn can free the large volume in between."""
         for block in self.blocks:
             volume = block(volume)
         return crown_block3d(volume, self.reduction, self.score).squeeze(1)

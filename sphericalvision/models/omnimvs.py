@@ -31,14 +31,14 @@ if TYPE_CHECKING:
     from sphericalvision.sphere import Equirectangular
 
 LUMINANCE = (0.299, 0.587, 0.114)
-"""Shares of red, green and blue in grey (Rec. 601)."""
+"""Weights of red, green and blue in grey (Rec. 601)."""
 
 
 class OmniMVS(DepthNetwork):
     """Depth on a panorama from the images of any rig of fisheye cameras.
 
-    The rig is given at each call. The weights depend neither on it nor on the size of the images, the panorama or the
-    number of hypotheses, though a network is best at what it was trained for.
+    The weights do not depend on the rig, the sizes of images and panorama, or the number of hypotheses, though a
+    network is best at those of its training.
 
     Convention:
         As for ``DepthNetwork``; images are 0 outside the field of view and under masks, and the result lies on
@@ -119,7 +119,7 @@ class OmniMVS(DepthNetwork):
         )
 
     def tables(self, rig: CameraRig) -> PanoramaTables:
-        """Return where each camera sees every point of the sweep, to be passed in place of the rig."""
+        """Return the tables of a rig, which may be passed in its place."""
         return self.sweep.tables(rig)
 
     def _estimate(
@@ -130,7 +130,12 @@ class OmniMVS(DepthNetwork):
         swept = self.sweep_features(features, tables, seen)
         volume = aggregate(self.aggregation, swept)
         scores = self.hourglass(volume).flatten(2)
-        return self._regression(scores, tables, seen)
+        index = soft_argmax(scores).unflatten(1, self.grid.shape)
+        confidence = soft_argmax_confidence(scores).unflatten(1, self.grid.shape)
+        # A point is seen if two cameras see it at the nearest of the swept spheres.
+        sphere = (index.detach() / self.sweep.every).round().long().clamp(max=tables.seen.shape[-3] - 1)
+        views = self.sweep.seen(tables.at_spheres(sphere), seen).squeeze(-3)
+        return DepthEstimate(index, confidence, views.sum(-3) >= 2)
 
     def extract_features(self, images: Float[Tensor, "B n C_in H W"]) -> Float[Tensor, "B n C h_f w_f"]:
         """Return the features ``(B, n, C, ceil(H / 2), ceil(W / 2))`` of images ``(B, n, 1 or 3, H, W)``.
@@ -149,7 +154,7 @@ class OmniMVS(DepthNetwork):
         tables: PanoramaTables,
         seen: Bool[Tensor, "B n H W"] | Bool[Tensor, "n H W"] | None = None,
     ) -> SweepVolume:
-        """Return what features ``(B, n, C, h_f, w_f)`` of cameras add to the volume: ``(B, n, C, N/2, h/2, w/2)``."""
+        """Return the swept features ``(B, n, C, N/2, h/2, w/2)`` of cameras' features ``(B, n, C, h_f, w_f)``."""
         self.sweep.check_maps(features, tables)
         volumes = [
             self.transference(maps, self.sweep, tables, camera)
@@ -160,20 +165,11 @@ class OmniMVS(DepthNetwork):
             torch.stack(volumes, 1), points_seen.expand(len(features), *points_seen.shape[-4:])
         )
 
-    def _regression(self, scores: Tensor, tables: PanoramaTables, seen: Tensor | None) -> DepthEstimate:
-        """Index and confidence of scores ``(B, N, h * w)``, and what was seen at the nearest sphere that is swept."""
-        index = soft_argmax(scores).unflatten(1, self.grid.shape)
-        confidence = soft_argmax_confidence(scores).unflatten(1, self.grid.shape)
-        sphere = (index.detach() / self.sweep.every).round().long().clamp(max=tables.seen.shape[-3] - 1)
-        views = self.sweep.seen(tables.at_spheres(sphere), seen).squeeze(-3)
-        return DepthEstimate(index, confidence, views.sum(-3) >= 2)
-
 
 def _checked_size(output_size: Sequence[int], num_scales: int) -> tuple[int, int]:
-    """Height and width, if the encoder can halve them as often as it does.
+    """Height and width, if the encoder can halve them ``num_scales`` times.
 
-    All columns of a scale have to be equally wide, or the last one and the first would not be neighbours. A last row
-    may be cut.
+    A last row may be cut, but not a last column, or it and the first would not be neighbours.
     """
     sizes = tuple(output_size)
     whole = len(sizes) == 2 and all(isinstance(size, int) and size > 0 for size in sizes)

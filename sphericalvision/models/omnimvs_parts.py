@@ -34,7 +34,7 @@ def norm_layer(norm: str, channels: int, dims: int) -> nn.Module:
 
 
 class ImageConv(nn.Sequential):
-    """A convolution of images and its normalisation; without ``norm`` it stands alone and has a bias."""
+    """A convolution of images and its normalisation, or a bias without ``norm``."""
 
     def __init__(
         self,
@@ -178,10 +178,9 @@ class FisheyeFeatures(RecomputedModule):
 
 
 class Transference(RecomputedModule, SphereConv):
-    """Map the features of a camera ``(B, C, h_f, w_f)`` to its share of the volume, ``(B, C', D, h, w)``.
+    """Sweep features of a camera ``(B, C, h_f, w_f)`` and convolve each sphere to half its size, ``(B, C', D, h, w)``.
 
-    They are swept, and each sphere is convolved to half as many pixels: with ``recompute`` the sweep of one camera is
-    in memory at a time.
+    With ``recompute`` the sweep of one camera is in memory at a time.
     """
 
     def forward(  # type: ignore[override]
@@ -195,18 +194,18 @@ class Transference(RecomputedModule, SphereConv):
 
 
 class EncoderConv(RecomputedModule, VolumeConv):
-    """A convolution that leads from scale to scale; saves memory in training if ``recompute`` says so."""
+    """A convolution from scale to scale; saves memory in training with ``recompute``."""
 
 
 class Across(RecomputedModule, nn.Sequential):
-    """The convolutions that lead from the encoder to the decoder; save memory as ``EncoderConv`` does."""
+    """The convolutions from encoder to decoder; save memory as ``EncoderConv`` does."""
 
 
 class CostHourglass(nn.Module):
     """Map a volume ``(B, in_channels, D, h, w)`` to a score of each hypothesis and pixel ``(B, 2 D, 2 h, 2 w)``.
 
-    Each scale of the encoder has half the size of the one before it. Its first convolution leads on to the next
-    scale, and two more lead across to the decoder, whose transposed convolutions double the size.
+    Each scale of the encoder has half the size of the one before. Its first convolution leads to the next scale, and
+    two more to the decoder, whose transposed convolutions double the size.
 
     Args:
         in_channels: of the volume.

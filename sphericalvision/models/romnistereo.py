@@ -29,22 +29,21 @@ RADIUS = 4
 HIDDEN = 64
 """Channels of the motion encoder; the heads have twice as many."""
 DECAY, TRAINED_ITERATIONS = 0.9, 15
-"""Of the training loss: iteration i of n weighs ``DECAY ** (TRAINED_ITERATIONS / n * (n - 1 - i))``."""
+"""Iteration i of n has the weight ``DECAY ** (TRAINED_ITERATIONS / n * (n - 1 - i))`` in the loss."""
 
 
 class RomniStereo(DepthNetwork):
     """Depth on a panorama from four fisheye cameras, front, right, back and left, by recurrent refinement.
 
-    Front and back are swept and mixed into one volume, right and left into another one, by weights that depend on the
-    features and on where in the images they lie: two views of everything, as a stereo pair has. Their correlation is
-    computed once. A gated recurrent unit then moves the index of each pixel, looking up the correlations around it, and
-    doubles the size of the panorama at the end.
+    Front and back are swept and mixed into one volume, right and left into another, by weights from the features and
+    their positions in the images: two views of everything, as of a stereo pair. Their correlation is computed once. In
+    each iteration a gated recurrent unit looks up the correlations around the index of each pixel and moves it.
 
     Convention:
         As for ``OmniMVS``, with two differences that checkpoints of the authors depend on: grey is the sum of the
-        channels, and the outermost pixel centres of an image and of its features are the same places (as
-        ``grid_sample`` has it with aligned corners). A pixel of the swept spheres is the middle of four of the result.
-        The confidence is 1 / (1 + m) where m is by how many hypotheses the last iteration moved the index.
+        channels, and the outermost pixel centres of an image and of its features coincide (``grid_sample`` with aligned
+        corners). A pixel of the swept spheres is the middle of four of the result. The confidence is 1 / (1 + m), where
+        the last iteration moved the index by m hypotheses.
 
     Args:
         num_hypotheses: N, an even number; every second sphere is swept.
@@ -105,7 +104,7 @@ class RomniStereo(DepthNetwork):
         self.update = Update(feature_channels)
 
     def tables(self, rig: CameraRig) -> PanoramaTables:
-        """Return where each camera sees every point of the sweep, to be passed in place of the rig."""
+        """Return the tables of a rig, which may be passed in its place."""
         return self.sweep.tables(rig)
 
     def _estimate(
@@ -114,7 +113,7 @@ class RomniStereo(DepthNetwork):
         tables, indices = self._indices(images, rig)
         index = indices[-1].clamp(0, self.num_hypotheses - 1)
         moved = (indices[-1] - indices[-2] if len(indices) > 1 else indices[-1]).abs()
-        # What was seen is told by the point in whose square of four pixels the nearest sphere is.
+        # Four pixels of the result share a pixel of the spheres, and so their ``seen``.
         coarse = F.avg_pool2d(index.detach()[:, None], 2).squeeze(1) / self.sweep.every
         sphere = coarse.round().long().clamp(max=tables.seen.shape[-3] - 1)
         views = self.sweep.seen(tables.at_spheres(sphere), seen).squeeze(-3).sum(-3)
@@ -178,7 +177,7 @@ class RomniStereo(DepthNetwork):
         window = torch.arange(-RADIUS, RADIUS + 1, device=index.device).to(index.dtype)
         indices = []
         for _ in range(self.iterations):
-            # Each iteration learns its own step alone, as in RAFT: where it began is taken as it is.
+            # Each iteration learns its own step alone, as in RAFT.
             index = index.detach()
             neighbors = [
                 at_hypotheses(values, index.unsqueeze(-1) / 2**k + window) for k, values in enumerate(scales)
@@ -193,7 +192,7 @@ class RomniStereo(DepthNetwork):
 
 
 class AlignedSweep(PanoramaSweep):
-    """A sweep whose places are counted from the first pixel centre of the image, -1, to the last one, 1."""
+    """A sweep with positions from -1 at the first pixel centre of the image to 1 at the last."""
 
     align_corners, outside = True, -2.0
 

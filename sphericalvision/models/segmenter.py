@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A small U-Net that says what everything on a sphere is, with five kinds of convolutions and otherwise the same."""
+"""A small U-Net for segmentation on the sphere, with one of five kinds of convolutions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class SphereSegmenter(SphereNetwork):
     Args:
         network: ``"crown"``, ``"hex"``, ``"hexgroup"``, ``"sphere"`` or ``"planar"``, as of ``SphereClassifier``.
         level: of the icosphere, 3 or more; equirectangular images have about as many pixels.
-        num_classes: number of logits at each place.
+        num_classes: number of logits at each point.
         in_channels: of the values given; 3 for colours.
         width: channels at the finest level, doubled at each of the two coarser ones; chosen such that all networks have
             about 74,000 parameters when not given, but for ``"hexgroup"``, which has 28,000.

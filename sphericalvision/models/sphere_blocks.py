@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the small networks for tasks on the sphere are made of: five kinds of convolutions, otherwise alike."""
+"""Blocks of the small networks for tasks on the sphere, with five kinds of convolutions."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def pooling(network: str, level: int) -> nn.Module:
 
 
 class SphereNetwork(nn.Module):
-    """A network's grid, its hyper-parameters, and the check of what it is given.
+    """Base of the small networks: grid, hyper-parameters, and the check of inputs.
 
     Args:
         network: one of ``SPHERE_NETWORKS``.

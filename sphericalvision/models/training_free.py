@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth without training, as networks without parameters: sweeps, and one depth map for all images."""
+"""Networks without parameters: sweeps, and one depth map for all images."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class _WithoutTraining(DepthNetwork):
 
 
 class SemiGlobalSweep(_WithoutTraining):
-    """``semi_global_sweep`` as a network without parameters: correlation of the best cameras, smoothed.
+    """``semi_global_sweep`` as a network without parameters.
 
     Args:
         level: of the icospheres that hold the images.
@@ -84,7 +84,7 @@ class SemiGlobalSweep(_WithoutTraining):
         self.small_penalty, self.large_penalty, self.contrast = small_penalty, large_penalty, contrast
 
     def tables(self, rig: CameraRig) -> SemiGlobalTables:
-        """Return where each camera sees every point that is tried, to be passed in place of the rig."""
+        """Return the tables of a rig, which may be passed in its place."""
         rig = rig.to(self.device)
         return semi_global_tables(
             rig, self.num_hypotheses, self.min_depth, self.level, self.cost_level, self.substeps
@@ -108,7 +108,7 @@ class SemiGlobalSweep(_WithoutTraining):
 
 
 class WinnerTakesAll(_WithoutTraining):
-    """``photo_consistency`` as a network without parameters: each vertex takes the best hypothesis by itself.
+    """``photo_consistency`` as a network without parameters.
 
     Args:
         level: of the icospheres that hold the images.
@@ -157,8 +157,7 @@ class WinnerTakesAll(_WithoutTraining):
 
 
 class ConstantDepth(_WithoutTraining):
-    """One depth map for all images, which it does not look at: a network that is not better has only learned where
-    floors are.
+    """One depth map for all images: a baseline, as a network that is no better has only learned where floors are.
 
     Args:
         level: of the icospheres that hold the images.
@@ -186,11 +185,10 @@ class ConstantDepth(_WithoutTraining):
         self.register_buffer("index", torch.zeros(self.grid.shape))
 
     def fit(self, inverse_depth: Float[Tensor, "F V"], valid: Bool[Tensor, "F V"] | None = None) -> Self:
-        """Take the map with the least mean absolute error of the index over frames, their median; returns the network.
+        """Set the map to the median index over frames, the one with the least mean absolute error; return the network.
 
         Args:
-            inverse_depth: ``(F, V)`` of frames in 1/m at the vertices of the map, or ``(F, 1)`` for one depth all
-                around.
+            inverse_depth: ``(F, V)`` of frames in 1/m at the vertices of the map, or ``(F, 1)`` for one depth.
             valid: ``(F, V)``, True where the depth is known; everywhere when not given.
 
         Raises:

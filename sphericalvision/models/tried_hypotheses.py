@@ -10,7 +10,7 @@ from torch import Tensor
 from sphericalvision.tables import constant_table
 
 REACH = 4
-"""Tried hypotheses to each side of the best one that the expectation is taken over."""
+"""Tried hypotheses to either side of the best one within which the expectation is taken."""
 
 
 def between_hypotheses(logits: Float[Tensor, "B N V"]) -> Float[Tensor, "B M V"]:

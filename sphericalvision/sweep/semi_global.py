@@ -239,8 +239,8 @@ def semi_global_costs(
     average = cost.masked_fill(~valid, 0.0).sum(1, keepdim=True) / count.clamp(min=1)
     cost = torch.where(valid, cost, average.masked_fill(count == 0, 1.0))
     winner = cost.masked_fill(~valid, torch.inf).min(1).indices  # as argmin, which takes four times as long
-    # Colours show where depth may jump, but there is no image from the centre: the cameras' colours at the hypothesis of
-    # the least cost before smoothing take its place.
+    # Colours show where depth may jump, but there is no image from the centre: the cameras' colours at the cheapest
+    # hypothesis before smoothing take its place.
     visible = torch.ones_like(images[:, :, 0]) if seen is None else check_seen(seen, images).to(images)
     guide = _colors_at(images, visible, tables, winner)
     return SmoothedCosts(evidence, semi_global_smoothing(cost, small_penalty, large_penalty, guide, contrast))

@@ -11,7 +11,7 @@ from torch import Tensor
 from sphericalvision.cameras import PinholeCamera
 from sphericalvision.core import ArgumentError, check_counts, check_last_dim
 from sphericalvision.geometry.directions import check_directions, moderate_lengths
-from sphericalvision.icosphere import icosphere_faces, icosphere_vertices, locate, num_icosphere_vertices
+from sphericalvision.icosphere import TriangleLocator, icosphere_faces, icosphere_vertices
 from sphericalvision.icosphere.topology import check_level
 from sphericalvision.kernels import full_precision
 from sphericalvision.sphere.grids.mosaic import mosaic, mosaic_pixels, tile_samples
@@ -131,7 +131,9 @@ class TangentImages(GridModule):
         """
         check_last_dim("directions", directions, 3)
         directions = moderate_lengths(directions)
-        patch = _face_containing(directions.detach(), self.base_level)
+        columns = directions.detach().reshape(-1, 3).T.contiguous()
+        faces, _ = TriangleLocator(self.base_level, columns.dtype, columns.device).find(columns)
+        patch = faces.long().view(directions.shape[:-1])
         frames = _frames(self.base_level, directions.device).to(directions)
         x, y, z = (directions.unsqueeze(-2) @ frames[patch]).squeeze(-2).unbind(-1)
         # A direction lies in front of its own patch; the rest is for zero vectors.
@@ -181,16 +183,6 @@ def _corners_in_plane(base_level: int, device: torch.device | str | None) -> Ten
     corners = icosphere_vertices(base_level, torch.float64, device)[icosphere_faces(base_level, device)]
     local = corners @ _frames(base_level, device)
     return local[..., :2] / local[..., 2:]
-
-
-def _face_containing(directions: Tensor, level: int) -> Tensor:
-    """Index (*) of the icosphere's face that each direction (*, 3) pierces."""
-    faces = icosphere_faces(level, directions.device)
-    base = num_icosphere_vertices(level)
-    digits = torch.tensor([base * base, base, 1], device=directions.device)
-    keys, order = (faces.sort(-1).values * digits).sum(-1).sort()
-    ids, _ = locate(directions, level)
-    return order[torch.searchsorted(keys, (ids.sort(-1).values * digits).sum(-1))]
 
 
 def solid_angles_in_triangle(

@@ -40,9 +40,9 @@ def convolve_own(
     return convolve(images, planar_kernels(weight)[0], bias, stride).unflatten(0, (-1, 5))
 
 
-def hexagons2d(
-    values: Float[Tensor, "B C_in V"],
-    weight: Float[Tensor, "C_out C_in 7"],
+def hexagons(
+    values: Float[Tensor, "B C_in *N V"],
+    weight: Float[Tensor, "C_out C_in taps"],
     bias: Float[Tensor, " C_out"] | None,
     stride: int,
     north: Float[Tensor, " V"] | None,
@@ -50,32 +50,19 @@ def hexagons2d(
     residual: Float[Tensor, "B C_out V_out"] | None = None,
     *,
     own: Own = convolve_own,
-) -> Float[Tensor, "B C_out V_out"]:
-    """Convolve values as ``hex_conv2d`` does; ``own`` computes what charts own."""
+) -> Float[Tensor, "B C_out *N V_out"]:
+    """Convolve values as ``hex_conv2d`` does, or volumes as ``hex_conv3d``; ``own`` computes what charts own."""
     values = values.relu() if rectify else values
+    rings, is_volume = ring_values(values), values.ndim == 4
+    # Three hypotheses for each, a view; values are volumes of one.
+    windows = _repeat_ends(rings).unfold(2, 3, 1) if is_volume else rings[:, :, None, ..., None]
     # What each tap reads of the rings, then one product with all taps.
-    special = torch.einsum("bivj,vjt->bvit", ring_values(values), _ring_taps(north, values)).flatten(2)
-    special = (special @ weight.flatten(1).T).mT
-    special = special if bias is None else special + bias[:, None]
-    result = fill_charts(_oriented(values, weight, bias, stride, north, own), special)
-    return result if residual is None else residual + result
-
-
-def hexagons3d(
-    values: Float[Tensor, "B C_in N V"],
-    weight: Float[Tensor, "C_out C_in 21"],
-    bias: Float[Tensor, " C_out"] | None,
-    stride: int,
-    north: Float[Tensor, " V"] | None,
-    *,
-    own: Own = convolve_own,
-) -> Float[Tensor, "B C_out N V_out"]:
-    """Convolve volumes as ``hex_conv3d`` does; ``own`` computes what charts own."""
-    windows = _repeat_ends(ring_values(values)).unfold(2, 3, 1)  # three hypotheses for each, a view
     special = torch.einsum("binvjd,vjt->bnvidt", windows, _ring_taps(north, values)).flatten(3)
     special = (special @ weight.flatten(1).T).permute(0, 3, 1, 2)
     special = special if bias is None else special + bias[:, None, None]
-    return fill_charts(_oriented(values, weight, bias, stride, north, own), special)
+    special = special if is_volume else special.squeeze(2)
+    result = fill_charts(_oriented(values, weight, bias, stride, north, own), special)
+    return result if residual is None else residual + result
 
 
 def _repeat_ends(values: Tensor) -> Tensor:

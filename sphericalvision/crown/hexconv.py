@@ -39,7 +39,7 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_dtype
 from sphericalvision.crown.charts import chart_vertices
-from sphericalvision.crown.fast import hex_convolve2d, hex_convolve3d
+from sphericalvision.crown.fast import hex_convolve
 from sphericalvision.crown.taps import HexagonWeights, check_stride
 from sphericalvision.icosphere import icosphere_vertices, level_from_num_vertices
 from sphericalvision.shapes import check_shapes
@@ -122,7 +122,7 @@ def hex_conv2d(
         torch.Size([1, 8, 42])
     """
     _check_conv(values, weight, stride, north)
-    return hex_convolve2d(values, weight, bias, stride, north, rectify, residual)
+    return hex_convolve(values, weight, bias, stride, north, rectify, residual)
 
 
 @check_shapes
@@ -143,7 +143,7 @@ def hex_conv3d(
         torch.Size([1, 8, 16, 42])
     """
     _check_conv(values, weight, stride, north)
-    return hex_convolve3d(values, weight, bias, stride, north)
+    return hex_convolve(values, weight, bias, stride, north)
 
 
 def _check_conv(values: Tensor, weight: Tensor, stride: int, north: Tensor | None) -> None:

@@ -26,8 +26,7 @@ __all__ = [
     "convolve_rectangles",
     "convolve_vertices",
     "fold",
-    "hex_convolve2d",
-    "hex_convolve3d",
+    "hex_convolve",
     "mode_in_use",
     "normalize",
     "normalize_and_convolve",
@@ -60,11 +59,10 @@ convolve_rectangles = Operator(
 convolve_vertices = Operator(_convolve_vertices, cpp=cpp.convolve_vertices)
 normalize = Operator(statistics.normalize, cpp=cpp.normalize_and_convolve, fused=lookups.normalize)
 normalize_and_convolve = Operator(_normalize_and_convolve, cpp=cpp.normalize_and_convolve)
-hex_convolve2d = Operator(
-    hexagons.hexagons2d,
-    cpp=cpp.hexagons2d,
+hex_convolve = Operator(
+    hexagons.hexagons,
+    cpp=cpp.convolve_hexagons,
     triton=lookups.hexagons_in_triton,
-    cpu=slices.hexagons2d,
+    cpu=slices.convolve_hexagons,
     fused=lookups.hexagons2d,
 )
-hex_convolve3d = Operator(hexagons.hexagons3d, cpp=cpp.hexagons3d, cpu=slices.hexagons3d)

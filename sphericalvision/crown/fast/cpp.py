@@ -108,18 +108,13 @@ def convolve_vertices(
     return col, row
 
 
-def hexagons2d(values: Tensor, weight: Tensor, bias: Tensor | None, stride: int, *others: Any) -> Tensor:
-    """Convolve values as ``hexagons.hexagons2d`` does, without making charts."""
+def convolve_hexagons(
+    values: Tensor, weight: Tensor, bias: Tensor | None, stride: int, *others: Any
+) -> Tensor:
+    """Convolve values or volumes as ``hexagons.hexagons`` does, without making charts."""
     if stride != 1 or not _operators_fit(values, weight):
         return NotImplemented
-    return hexagons.hexagons2d(values, weight, bias, stride, *others, own=_convolve_own)
-
-
-def hexagons3d(values: Tensor, weight: Tensor, bias: Tensor | None, stride: int, *others: Any) -> Tensor:
-    """Convolve volumes as ``hexagons.hexagons3d`` does, without making charts."""
-    if stride != 1 or not _operators_fit(values, weight):
-        return NotImplemented
-    return hexagons.hexagons3d(values, weight, bias, stride, *others, own=_convolve_own)
+    return hexagons.hexagons(values, weight, bias, stride, *others, own=_convolve_own)
 
 
 def _convolve_own(values: Tensor, weight: Tensor, bias: Tensor | None, stride: int) -> Tensor:

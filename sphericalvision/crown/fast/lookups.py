@@ -139,8 +139,8 @@ class TapTables(NamedTuple):
 
 
 def hexagons2d(
-    values: Float[Tensor, "B C_in V"],
-    weight: Float[Tensor, "C_out C_in 7"],
+    values: Float[Tensor, "B C_in *N V"],
+    weight: Float[Tensor, "C_out C_in taps"],
     bias: Float[Tensor, " C_out"] | None,
     stride: int,
     north: Float[Tensor, " V"] | None,
@@ -148,6 +148,8 @@ def hexagons2d(
     residual: Float[Tensor, "B C_out V_out"] | None = None,
 ) -> Float[Tensor, "B C_out V_out"]:
     """Convolve values as ``hex_conv2d`` does: look the seven taps of every vertex up, then multiply."""
+    if values.ndim != 3:  # volumes
+        return NotImplemented
     values = values.relu() if rectify else values
     if north is None:
         result = _multiply_taps(values, weight, bias, stride, CHART_RINGS)
@@ -173,8 +175,8 @@ def _multiply_taps(values: Tensor, weight: Tensor, bias: Tensor | None, stride: 
 
 
 def hexagons_in_triton(
-    values: Float[Tensor, "B C_in V"],
-    weight: Float[Tensor, "C_out C_in 7"],
+    values: Float[Tensor, "B C_in *N V"],
+    weight: Float[Tensor, "C_out C_in taps"],
     bias: Float[Tensor, " C_out"] | None,
     stride: int,
     north: Float[Tensor, " V"] | None,
@@ -183,7 +185,8 @@ def hexagons_in_triton(
 ) -> Float[Tensor, "B C_out V_out"]:
     """Convolve values in single precision as ``hex_conv2d`` does, by a kernel that never writes what the taps read."""
     tensors = [tensor for tensor in (values, weight, bias, residual) if tensor is not None]
-    if torch.is_autocast_enabled("cuda") or any(tensor.dtype != torch.float32 for tensor in tensors):
+    is_cast = torch.is_autocast_enabled("cuda") or any(tensor.dtype != torch.float32 for tensor in tensors)
+    if is_cast or values.ndim != 3:
         return NotImplemented
     from sphericalvision.crown.fast.hexconv_triton import hex_conv_kernel  # Triton is not everywhere
 

@@ -137,11 +137,6 @@ def _fold(col: Tensor, row: Tensor) -> Tensor:
     return _fold_north_and_east(total)
 
 
-def hexagons2d(values: Tensor, *args: Any) -> Tensor:
-    """Convolve values as ``hexagons.hexagons2d`` does, with channels fastest in memory."""
-    return hexagons.hexagons2d(values.movedim(1, -1).contiguous().movedim(-1, 1), *args)
-
-
-def hexagons3d(values: Tensor, *args: Any) -> Tensor:
-    """Convolve volumes as ``hexagons.hexagons3d`` does, with channels fastest in memory."""
-    return hexagons.hexagons3d(values.movedim(1, -1).contiguous().movedim(-1, 1), *args)
+def convolve_hexagons(values: Tensor, *args: Any) -> Tensor:
+    """Convolve values or volumes as ``hexagons.hexagons`` does, with channels fastest in memory."""
+    return hexagons.hexagons(values.movedim(1, -1).contiguous().movedim(-1, 1), *args)

@@ -141,7 +141,7 @@ class SceneDataModule(RenderedDataModule):
 
     def augmentation(self, generator: torch.Generator | None = None) -> Callable[[Sample], Sample]:
         """Turns by multiples of 72 degrees, and other colours."""
-        return Compose(RotateFivefold(generator), PhotometricAugmentation())
+        return Compose(RotateFivefold(generator), PhotometricAugmentation(generator=generator))
 
     def plain(self, split: str) -> WorldSamples:
         """Scenes of one split, as rendered.

@@ -24,6 +24,7 @@ KINDS: dict[str, tuple[str, Callable[[torch.Tensor], bool]]] = {
     "Float": ("floating point values", torch.Tensor.is_floating_point),
     "Bool": ("bool", lambda value: value.dtype == torch.bool),
     "Int": ("integers", lambda value: value.dtype in _INTEGERS),
+    "Integer": ("integers", lambda value: value.dtype in _INTEGERS),
     "Int32": ("int32", lambda value: value.dtype == torch.int32),
     "Num": ("numbers", lambda value: value.dtype != torch.bool),
     "Shaped": ("any values", lambda value: True),

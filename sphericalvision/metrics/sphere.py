@@ -8,11 +8,11 @@ weights by solid angle the numbers of all grids, of all sizes, are the same.
 from __future__ import annotations
 
 import torch
-from jaxtyping import Bool, Float, Integer, Num
+from jaxtyping import Float, Integer, Shaped
 from torch import Tensor
 from torchmetrics import Metric
 
-from sphericalvision.core import ArgumentError, ShapeError, check_counts, check_tensor, check_type
+from sphericalvision.core import ArgumentError, ShapeError, check_counts, check_type
 from sphericalvision.shapes import check_shapes
 from sphericalvision.sphere import SphereGrid
 
@@ -53,7 +53,6 @@ class _OnGrid(Metric):
 
     def _flat(self, name: str, values: Tensor) -> Tensor:
         """Return ``(B, *grid.shape)`` as ``(B, n)``."""
-        check_tensor(name, values, f"(B, {', '.join(map(str, self.grid_shape))})")
         if tuple(values.shape[1:]) != self.grid_shape:
             size = ", ".join(map(str, self.grid_shape))
             raise ShapeError(f"{name}: expected shape (B, {size}) on this grid, got {tuple(values.shape)}")
@@ -62,11 +61,7 @@ class _OnGrid(Metric):
     def _weights(self, values: Tensor, mask: Tensor | None) -> Tensor:
         """Return the solid angles ``(B, n)`` of values, zero outside the mask."""
         weights = self.solid_angles.expand(values.shape)
-        if mask is None:
-            return weights
-        if mask.shape[:1] != values.shape[:1]:
-            raise ShapeError(f"mask: expected {len(values)} images as in the values, got {tuple(mask.shape)}")
-        return weights * self._flat("mask", mask).bool()
+        return weights if mask is None else weights * mask.flatten(1).bool()
 
 
 class SolidAngleMean(_OnGrid):
@@ -101,7 +96,10 @@ class SolidAngleMean(_OnGrid):
         for name in ("total", "num_images"):
             self.add_state(name, default=torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
 
-    def update(self, values: Num[Tensor, " B *grid"], mask: Bool[Tensor, " B *grid"] | None = None) -> None:
+    @check_shapes
+    def update(
+        self, values: Shaped[Tensor, " B *grid"], mask: Shaped[Tensor, " B *grid"] | None = None
+    ) -> None:
         """Add a batch."""
         flat = self._flat("values", values)
         weights = self._weights(flat, mask)
@@ -154,22 +152,16 @@ class SolidAngleIoU(_OnGrid):
         zeros = torch.zeros(num_classes, num_classes, dtype=torch.float64)
         self.add_state("areas", default=zeros, dist_reduce_fx="sum")
 
+    @check_shapes
     def update(
         self,
         pred: Integer[Tensor, " B *grid"],
         target: Integer[Tensor, " B *grid"],
-        mask: Bool[Tensor, " B *grid"] | None = None,
+        mask: Shaped[Tensor, " B *grid"] | None = None,
     ) -> None:
         """Add a batch of labels."""
-        predicted, true = self._flat("pred", pred), self._flat("target", target)
-        if len(predicted) != len(true):
-            raise ShapeError(f"target: expected {len(predicted)} images as in pred, got {len(true)}")
-        for name, labels in (("pred", predicted), ("target", true)):
-            if labels.is_floating_point() or labels.is_complex():
-                raise ArgumentError(
-                    f"{name}: expected integers, got {labels.dtype}; convert labels with .long()"
-                )
-        predicted, true = predicted.long(), true.long()  # bytes would wrap around below
+        # Bytes would wrap around below.
+        predicted, true = self._flat("pred", pred).long(), self._flat("target", target).long()
         weights = self._weights(true, mask)
         if self.ignore_index is not None:
             weights = weights * (true != self.ignore_index)

@@ -9,7 +9,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.icosphere import Icosphere
 from sphericalvision.metrics import DepthError, DepthIndexError, depth_error, depth_index_error
 
 
@@ -59,23 +58,6 @@ def test_thresholds_are_strict() -> None:
     errors = plain(depth_index_error(torch.tensor([[1.0, 3.0, 5.0, 6.0]]), target, num_hypotheses=100))
     assert (errors[">1"], errors[">3"]) == (75.0, 50.0)
     assert errors[">5"] == 25.0
-
-
-def test_solid_angle_weights_integrate_over_the_sphere() -> None:
-    """The mean of |y| over the sphere is 1/2, and of y squared 1/3."""
-    grid = Icosphere(5, torch.float64)
-    height = 100 * grid.vertices[None, :, 1]
-    errors = plain(depth_index_error(height, torch.zeros_like(height), 100, weights=grid.solid_angles))
-    assert errors["MAE"] == pytest.approx(50, rel=1e-3)
-    assert errors["RMS"] == pytest.approx(100 / math.sqrt(3), rel=1e-3)
-
-
-def test_reset_and_no_images() -> None:
-    metric = DepthIndexError(32)
-    metric.update(torch.ones(1, 3), torch.zeros(1, 3))
-    metric.reset()
-    with pytest.warns(UserWarning, match="before the ``update``"):
-        assert all(value.isnan() for value in metric.compute().values())
 
 
 def test_depth_error_equals_its_definition(generator: torch.Generator) -> None:

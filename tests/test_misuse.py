@@ -226,6 +226,7 @@ CameraRig.stack([rig(), CameraRig(rig().cameras, rig().world_from_camera, around
 CameraRig.stack([rig(), CameraRig({**rig().cameras, 'cam1': pinhole()}, rig().world_from_camera)]) -> rigs: Argument
 Trajectory(['a', 'b'], EYES.repeat(2, 1, 1)).windows(3) -> size: Argument
 Trajectory(['a', 'b'], EYES.repeat(2, 1, 1)).windows(2, spacing=0.3) -> spacing: Argument
+Trajectory(['a', 'b'], EYES.repeat(2, 1, 1)).rig(camera(), [0, 2]) -> numbers: Argument
 Trajectory(['0.0', '0.1', '0.2'], EYES.repeat(3, 1, 1)).of_images(['000', '001']) -> images: Argument
 read_trajectory('none.txt') -> none.txt: MissingFile
 read_trajectory('.') -> .: MissingFile

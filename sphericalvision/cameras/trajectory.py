@@ -115,6 +115,8 @@ class Trajectory:
             >>> rig.names[1:4], rig.center
             (['cam2@a', 'cam1@b', 'cam2@b'], tensor([1., 0., 0.]))
         """
+        if not numbers or not all(0 <= number < len(self) for number in numbers):
+            raise ArgumentError(f"numbers: expected some of 0 to {len(self) - 1}, got {list(numbers)}")
         if isinstance(camera, Camera):
             camera = CameraRig({"": camera}, torch.eye(4)[None], None if mask is None else {"": mask})
         elif mask is not None:

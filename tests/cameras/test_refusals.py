@@ -151,11 +151,12 @@ WORDS: dict[str, list[tuple[str, str, str]]] = {  # file -> what stands in it, w
         ("<rotation>", "<rotatio>", "not valid XML"),
         ("<location>0 0 -0.004</location>", "", "'location' is missing"),
         (SCALE, SCALE.replace("scale>12.5", "scale>1</scale><scale>12.5"), "scale: expected"),
+        (SCALE, SCALE.replace("12.5", "-12.5"), "scale: expected one number above 0"),
         ("<f>300</f>", "<f>300</f><k1>0.1</k1><k9>0.1</k9>", "k9' is not understood"),
         ("<f>300</f>", "<f>300</f><f>310</f>", "f: expected"),
         ('label="front">', 'label="front"><orientation>6</orientation>', "orientation: expected 1"),
         ('version="2.0.0">', 'version="2.0.0"><chunkk/>', "chunkk"),
-        ("<components", "<transform><scale>3</scale></transform><components", "that of its component differ"),
+        ("<components", "<transform><scale>3</scale></transform><components", "scale: expected one number above 0"),
         ('<sensor id="1"', '<sensor id="0"', "sensor 0: a second camera named 'cam0'"),
     ],
     "image001.xmp": [

@@ -176,8 +176,8 @@ def _metres(chunk: Any, component: Any, path: Path) -> float:
         for transform in _each(place, "transform")
         if "scale" in transform
     ]
-    if any(abs(scale / scales[0] - 1) > 1e-6 if scales[0] else True for scale in scales[1:]):
-        raise FileFormatError(f"{path}, scale: that of the chunk and that of its component differ, {scales}")
+    if any(scale <= 0 or abs(scale / scales[0] - 1) > 1e-6 for scale in scales):
+        raise FileFormatError(f"{path}, scale: expected one number above 0 of chunk and component, got {scales}")
     return scales[-1] if scales else 1.0
 
 

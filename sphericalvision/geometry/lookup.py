@@ -173,8 +173,6 @@ class Lookup(PlacesInSinglePrecision):
             batch = broadcast_shapes(values.shape[:-2], self.ids.shape[:-1])
             ids = self.ids.unsqueeze(-2).expand(*batch, values.shape[-2], -1)
             result = values.expand(*batch, *values.shape[-2:]).gather(-1, ids)
-        return (
-            result
-            if self.seen is None
-            else torch.where(self.seen.unsqueeze(-2), result, result.new_zeros(()))
-        )
+        if self.seen is None:
+            return result
+        return torch.where(self.seen.unsqueeze(-2), result, result.new_zeros(()))

@@ -18,21 +18,10 @@ from torch import Tensor
 
 from sphericalvision.crown import hexagons, places, statistics, taps
 from sphericalvision.crown.fast import cpp, lookups, slices
-from sphericalvision.crown.fast.cpp import mode_in_use, recomputation_pays
+from sphericalvision.crown.fast.cpp import mode_in_use as mode_in_use
+from sphericalvision.crown.fast.cpp import recomputation_pays as recomputation_pays
 from sphericalvision.crown.statistics import CrownNorm, Pair
 from sphericalvision.kernels import Operator
-
-__all__ = [
-    "convolve_rectangles",
-    "convolve_vertices",
-    "fold",
-    "hex_convolve",
-    "mode_in_use",
-    "normalize",
-    "normalize_and_convolve",
-    "recomputation_pays",
-    "unfold",
-]
 
 
 def _convolve_vertices(

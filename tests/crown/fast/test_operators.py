@@ -10,7 +10,7 @@ from torch import Tensor
 from sphericalvision.crown import HexConv2d
 from sphericalvision.crown.fast.convolution import hex_convolution
 from sphericalvision.crown.places import place_ids
-from sphericalvision.crown.taps import COL_TAPS, ROW_TAPS, Taps, convolve, planar_kernels, repeat_border
+from sphericalvision.crown.taps import COL_TAPS, convolve, planar_kernels, repeat_border
 from sphericalvision.kernels import kernels
 from tests.crown.compiler import needs_compiler
 
@@ -21,10 +21,6 @@ pytestmark = needs_compiler
 def loaded() -> None:
     with kernels("require"):
         HexConv2d(1, 1)(torch.zeros(1, 1, 12))
-
-
-def convolved(images: Tensor, weight: Tensor, bias: Tensor | None, taps: Taps) -> Tensor:
-    return by_operator(images, weight, bias, taps == ROW_TAPS)
 
 
 def by_operator(
@@ -41,22 +37,22 @@ def by_operator(
     return result.squeeze(2) if images.ndim == 4 else result
 
 
-def direct(images: Tensor, weight: Tensor, bias: Tensor | None, taps: Taps) -> Tensor:
+def direct(images: Tensor, weight: Tensor, bias: Tensor | None, across: bool) -> Tensor:
     """The sum over all taps, of images or of volumes."""
-    return convolve(repeat_border(images), planar_kernels(weight)[int(taps == ROW_TAPS)], bias)
+    return convolve(repeat_border(images), planar_kernels(weight)[int(across)], bias)
 
 
-@pytest.mark.parametrize("taps", [COL_TAPS, ROW_TAPS])
+@pytest.mark.parametrize("across", [False, True])
 @pytest.mark.parametrize("size", [(4, 5, 9), (5, 8, 4), (1, 1, 2), (6, 17, 9), (5, 40, 9), (5, 3), (17, 34)])
 @pytest.mark.parametrize(("channels", "out"), [(3, 5), (16, 20), (17, 48)])
 def test_values_and_gradients_are_those_of_the_direct_sum(
-    generator: torch.Generator, taps: Taps, size: tuple[int, ...], channels: int, out: int
+    generator: torch.Generator, across: bool, size: tuple[int, ...], channels: int, out: int
 ) -> None:
     def draw(*shape: int) -> Tensor:
         return torch.randn(*shape, generator=generator, dtype=torch.float64).requires_grad_()
 
     inputs = draw(2, channels, *size), draw(out, channels, 7 if len(size) == 2 else 21), draw(out)
-    result, expected = convolved(*inputs, taps), direct(*inputs, taps)
+    result, expected = by_operator(*inputs, across), direct(*inputs, across)
     torch.testing.assert_close(result, expected)
     upstream = torch.randn(expected.shape, generator=generator, dtype=torch.float64)
     ours, theirs = (torch.autograd.grad(of, inputs, upstream) for of in (result, expected))
@@ -66,8 +62,8 @@ def test_values_and_gradients_are_those_of_the_direct_sum(
 def test_error_of_single_precision_is_small(generator: torch.Generator) -> None:
     volumes = torch.randn(1, 64, 8, 17, 9, generator=generator).requires_grad_()
     weight = (torch.randn(64, 64, 21, generator=generator) / 36).requires_grad_()
-    exact = direct(volumes.double(), weight.double(), None, COL_TAPS)
-    result = convolved(volumes, weight, None, COL_TAPS)
+    exact = direct(volumes.double(), weight.double(), None, False)
+    result = by_operator(volumes, weight, None, False)
     assert (result - exact).abs().max() < 1e-5 * exact.abs().max()
     upstream = torch.randn(result.shape, generator=generator)
     for ours, theirs in zip(
@@ -88,25 +84,25 @@ def test_any_number_of_threads(generator: torch.Generator, threads: int) -> None
     before = torch.get_num_threads()
     torch.set_num_threads(threads)
     try:
-        result = convolved(*inputs, None, ROW_TAPS)
+        result = by_operator(*inputs, None, True)
         ours = torch.autograd.grad(result, inputs, upstream)
     finally:
         torch.set_num_threads(before)
-    expected = direct(*inputs, None, ROW_TAPS)
+    expected = direct(*inputs, None, True)
     torch.testing.assert_close(result, expected, atol=1e-5, rtol=1e-5)
     theirs = torch.autograd.grad(expected, inputs, upstream)
     torch.testing.assert_close(ours, theirs, atol=1e-3, rtol=1e-4)
 
 
-def test_parts_of_larger_tensors_are_convolved(generator: torch.Generator) -> None:
+def test_parts_of_larger_tensors_are_by_operator(generator: torch.Generator) -> None:
     """Views of any strides, with and without channels next to each other, also with a border that is given."""
     weight, bias = torch.randn(16, 20, 21, generator=generator) / 20, torch.randn(16, generator=generator)
     around = torch.randn(2, 9, 8, 11, 20, generator=generator)
     for given in (around[:, 1:7, 1:, 2:-1].movedim(-1, 1), around.movedim(-1, 1).contiguous()[:, :, ::2]):
-        expected = direct(given, weight, bias, COL_TAPS).relu()
+        expected = direct(given, weight, bias, False).relu()
         result = by_operator(given, weight, bias, False, relu=True)
         torch.testing.assert_close(result, expected, atol=1e-5, rtol=1e-5)
-        inside = direct(given, weight, bias, COL_TAPS)[..., 1:-1, 1:-1]
+        inside = direct(given, weight, bias, False)[..., 1:-1, 1:-1]
         result = by_operator(given, weight, bias, False, border=True)
         torch.testing.assert_close(result, inside, atol=1e-5, rtol=1e-5)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Networks made of layers in a row, on crowns and on vertices, and maximum pooling."""
+"""Networks made of layers in a row on crowns, and maximum pooling."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from sphericalvision.crown import (
     CrownPointwise,
     CrownUpsample,
     FromCrown,
-    HexConv2d,
     ToCrown,
     crown_avg_pool2d,
     crown_conv2d,
@@ -27,7 +26,7 @@ from sphericalvision.crown import (
     from_crown,
     to_crown,
 )
-from sphericalvision.icosphere import IcospherePool, IcosphereUpsample, icosphere_neighbors
+from sphericalvision.icosphere import icosphere_neighbors
 from sphericalvision.icosphere.topology import coarse_vertex_ids
 from tests.values import random_values
 
@@ -50,22 +49,6 @@ def test_layers_in_a_row_are_the_functions_one_after_the_other() -> None:
     crown = crown_upsample(crown_max_pool2d(crown_avg_pool2d(exchange(crown))))
     torch.testing.assert_close(network(values), from_crown(crown))
     assert network(values).shape == (2, 4, 42)
-
-
-def test_networks_on_vertices_need_layers_of_torch_only_beside_convolutions() -> None:
-    network = nn.Sequential(
-        HexConv2d(3, 4),
-        nn.BatchNorm1d(4),
-        nn.GELU(),
-        IcospherePool(2, "max"),
-        HexConv2d(4, 5),
-        IcosphereUpsample(1),
-        nn.Conv1d(5, 2, 1),
-    )
-    values = torch.rand(2, 3, 162)
-    network(values).square().mean().backward()
-    assert network(values).shape == (2, 2, 162)
-    assert all(parameter.grad.abs().max() > 0 for parameter in (network[0].weight, network[4].weight))
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,6 @@ from sphericalvision.core import FileFormatError, MissingFileError, check_file
 from sphericalvision.io.files import (
     atomic_write,
     by_numbers,
-    list_folder,
     part_of_name,
     read_text,
     write_bytes,
@@ -160,11 +159,6 @@ def test_a_part_written_without_a_complaint_is_an_error(
     with pytest.raises(OSError, match=r"3 of 6 bytes were written.*a\.txt"):
         write_bytes(tmp_path / "a.txt", b"abcdef")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_missing_folder_is_named(tmp_path: Path) -> None:
-    with pytest.raises(MissingFileError, match=r"none: no such folder \(images expected\)"):
-        list_folder(tmp_path / "none", "images")
 
 
 @pytest.mark.parametrize(

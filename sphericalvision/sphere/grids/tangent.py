@@ -226,7 +226,11 @@ def solid_angles_in_triangle(
 
 
 def _swept(a: Tensor, b: Tensor, inside_a: Tensor, inside_b: Tensor) -> Tensor:
-    """Sum over n of the solid angles that segments a to b (*, n, 2) sweep where they are inside of m lines."""
+    """Sum over n of the solid angles that segments a to b (*, n, 2) sweep where they are inside of m lines.
+
+    Segments are clipped as by Liang and Barsky (1984): they enter through the last line, and leave through the first.
+    The triangle of what is left and the tangent point has the solid angle of van Oosterom and Strackee (1983).
+    """
     change = inside_b - inside_a
     crossing = -inside_a / torch.where(change == 0, 1.0, change)
     outside = (inside_a < 0) & (inside_b < 0) | (change == 0) & (inside_a < 0)

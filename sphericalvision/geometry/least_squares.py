@@ -12,6 +12,8 @@ from torch import Tensor
 
 from sphericalvision.kernels import full_precision
 
+_ITERATIONS = 100  # most steps taken
+_TOLERANCE = 1e-9  # the search ends when a step makes the sum smaller by less than this fraction
 _PATIENCE = 12  # rejected steps in a row, each with ten times the damping
 
 
@@ -32,8 +34,6 @@ def solve_least_squares(
     jacobian: Callable[[Tensor], Tensor] | None = None,
     lower: Float[Tensor, " p"] | None = None,
     upper: Float[Tensor, " p"] | None = None,
-    iterations: int = 100,
-    tolerance: float = 1e-9,
 ) -> LeastSquares:
     """Parameters (p,) near ``start`` that make the sum of the squared ``residuals`` (m,) smallest.
 
@@ -46,8 +46,6 @@ def solve_least_squares(
         jacobian: maps parameters (p,) to the derivatives (m, p); by default ``torch.func.jacfwd`` of the residuals.
         lower: smallest parameters (p,); a parameter with equal bounds is fixed.
         upper: largest parameters (p,).
-        iterations: most steps taken.
-        tolerance: the search ends when a step makes the sum smaller by less than this fraction.
 
     References:
         J. Nocedal, S. Wright, "Numerical Optimization", 2nd ed. (2006), section 10.3.
@@ -66,7 +64,7 @@ def solve_least_squares(
     x = start.clamp(low, high)
     residual = residuals(x)
     cost, damping = _cost(residual), 1e-3
-    for _ in range(iterations):
+    for _ in range(_ITERATIONS):
         if not 0 < cost < torch.inf:
             break
         columns = jacobian(x)
@@ -92,7 +90,7 @@ def solve_least_squares(
             break  # no direction leads down any more
         gain = 1 - candidate_cost / cost
         x, residual, cost, damping = candidate, candidate_residual, candidate_cost, max(damping / 10, 1e-12)
-        if gain < tolerance:
+        if gain < _TOLERANCE:
             break
     return LeastSquares(x, (cost / max(residual.numel(), 1)) ** 0.5)
 

@@ -223,7 +223,7 @@ def samples_towards(upper: Float[Tensor, "*batch"], samples: int = 512) -> Float
 
 
 def tabulate_inverse(
-    arguments: Float[Tensor, "*#batch n"], values: Float[Tensor, "*batch n"], size: int = 512
+    arguments: Float[Tensor, "*#batch n"], values: Float[Tensor, "*batch n"]
 ) -> InverseTable:
     """Make the table of an increasing function from samples of it.
 
@@ -231,7 +231,6 @@ def tabulate_inverse(
         arguments: (*b, n) increasing, best ``samples_towards`` the last one.
         values: (*b, n) at the arguments, from 0 up. If the last one is a turning point of the function, the table is as
             good there as elsewhere.
-        size: number of arguments in the table.
 
     Examples:
         >>> angle = samples_towards(torch.tensor(torch.pi / 2))
@@ -243,7 +242,7 @@ def tabulate_inverse(
     with torch.no_grad():
         arguments = arguments.expand(values.shape)
         positions = _place(values / values[..., -1:]).contiguous()
-        targets = torch.linspace(0, 1, size, dtype=values.dtype, device=values.device)
+        targets = torch.linspace(0, 1, 512, dtype=values.dtype, device=values.device)
         targets = targets + torch.zeros_like(positions[..., :1])  # batched by vmap if the places are
         above = torch.searchsorted(positions, targets).clamp(1, values.shape[-1] - 1)
         low, high = positions.gather(-1, above - 1), positions.gather(-1, above)

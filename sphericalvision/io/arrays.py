@@ -18,14 +18,14 @@ MAX_BYTES = 2**28
 """Of all arrays of a file together: a level 10 icosphere with directions, inverse depth and confidence has 210 MB."""
 
 
-def read_npy(path: str | Path, what: str = "an array of numpy") -> npt.NDArray[Any]:
+def read_npy(path: str | Path) -> npt.NDArray[Any]:
     """Read the array of a ``.npy``, which has as many bytes as its header declares.
 
     Raises:
         MissingFileError: there is no such file.
         FileFormatError: it is no array, is cut short, or holds Python objects.
     """
-    path = check_file(path, what)
+    path = check_file(path, "an array of numpy")
     with path.open("rb") as file:
         try:
             declared = _declared_bytes(file)

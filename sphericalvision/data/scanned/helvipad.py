@@ -39,16 +39,15 @@ PUBLISHED = {
 
 
 def disparity_from_depth(
-    depth: Float[Tensor, "*batch h w"], directions: Float[Tensor, "h w 3"], baseline: float = BASELINE
+    depth: Float[Tensor, "*batch h w"], directions: Float[Tensor, "h w 3"]
 ) -> Float[Tensor, "*batch h w"]:
     """Disparity in degrees, the angle at a point between the bottom and the top camera, by the law of sines.
 
-    With the angle θ from the nadir, depth = B (sin θ / tan d − cos θ).
+    With the baseline B and the angle θ from the nadir, depth = B (sin θ / tan d − cos θ).
 
     Args:
         depth: ``(*b, h, w)`` metres from the bottom camera.
         directions: ``(h, w, 3)`` of the bottom camera.
-        baseline: B, metres.
 
     References:
         M. Zayene et al., "Helvipad: a real-world dataset for omnidirectional stereo depth estimation", CVPR 2025.
@@ -60,7 +59,7 @@ def disparity_from_depth(
     """
     down = directions[..., 1]
     across = torch.hypot(directions[..., 0], directions[..., 2])
-    return torch.atan2(baseline * across, depth + baseline * down).rad2deg()
+    return torch.atan2(BASELINE * across, depth + BASELINE * down).rad2deg()
 
 
 class HelvipadDataset(ScannedFrames):

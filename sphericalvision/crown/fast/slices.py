@@ -72,9 +72,9 @@ def fold(
     return _Fold.apply(col, row, number.reciprocal())
 
 
-def _empty_as(like: Tensor, like_dim: int, shape: tuple[int, ...], channel_dim: int) -> Float[Tensor, " ..."]:
-    """Return an uninitialised tensor, its channels fastest in memory if those of ``like`` are."""
-    if like.stride(like_dim) != 1 or like.shape[like_dim] == 1:
+def _empty_as(like: Tensor, shape: tuple[int, ...], channel_dim: int) -> Float[Tensor, " ..."]:
+    """Return an uninitialised tensor, its channels fastest in memory if those of the rectangles ``like`` are."""
+    if like.stride(2) != 1 or like.shape[2] == 1:
         return like.new_empty(shape)
     return _channels_fastest(like, shape, channel_dim)
 
@@ -103,7 +103,7 @@ def _fold_north_and_east(rectangles: Float[Tensor, "B 5 C *N long short"]) -> Fl
     """Sum rectangles into values: the adjoint of ``_fill_north_and_east``, line by line."""
     batch, _, *channels, _, columns = rectangles.shape
     n = columns - 1
-    values = _empty_as(rectangles, 2, (batch, *channels, 2 + 10 * n * n), 1)
+    values = _empty_as(rectangles, (batch, *channels, 2 + 10 * n * n), 1)
     values[..., 0] = rectangles[..., 0, 0].sum(1)
     values[..., -1] = rectangles[..., -1, n].sum(1)
     charts = own_charts(values, n)
@@ -130,7 +130,7 @@ def _unfold(values: Tensor, channels_fastest: bool) -> tuple[Tensor, Tensor]:
 
 def _fold(col: Tensor, row: Tensor) -> Tensor:
     n = col.shape[-1] - 1
-    total = _empty_as(col, 2, tuple(col.shape), 2).copy_(col)
+    total = _empty_as(col, tuple(col.shape), 2).copy_(col)
     total[..., : n + 1, :] += row[..., : n + 1]
     total[:, 1:, ..., n:, 1:] += row[:, :4, ..., n + 1 :]
     total[:, 0, ..., n:, 1:] += row[:, 4, ..., n + 1 :]

@@ -12,6 +12,9 @@ from torch import Tensor
 
 from sphericalvision.core import ArgumentError
 
+DRAWS = 2000
+"""Samples with replacement of a bootstrap."""
+
 
 class Interval(NamedTuple):
     """A mean, and its bounds."""
@@ -21,22 +24,14 @@ class Interval(NamedTuple):
     high: float
 
 
-def bootstrap_interval(
-    values: Sequence[float] | Float[Tensor, " n"], probability: float = 0.95, draws: int = 2000, seed: int = 0
-) -> Interval:
-    """Return the mean of independent values, such as one a scene, and its bootstrap interval by percentiles.
+def bootstrap_interval(values: Sequence[float] | Float[Tensor, " n"]) -> Interval:
+    """Return the mean of independent values, such as one a scene, and its bootstrap interval of 95 % by percentiles.
 
     Args:
         values: one or more; NaN are left out.
-        probability: that the interval covers.
-        draws: samples with replacement.
-        seed: of the draws.
 
     Returns:
         All three NaN without a value. With infinite values the mean and at least the upper bound are infinite.
-
-    Raises:
-        ArgumentError: a probability outside (0, 1), or no draws.
 
     References:
         Efron (1979), "Bootstrap methods: another look at the jackknife".
@@ -46,19 +41,13 @@ def bootstrap_interval(
         >>> mean, low < mean < high
         (2.0, True)
     """
-    if not 0 < probability < 1 or draws < 1:
-        raise ArgumentError(
-            f"probability, draws: expected a number in (0, 1) and 1 or more, got {probability} and {draws}"
-        )
     samples = torch.as_tensor(values, dtype=torch.float64).flatten()
     samples = samples[~samples.isnan()]
     if not len(samples):
         return Interval(torch.nan, torch.nan, torch.nan)
-    generator = torch.Generator().manual_seed(seed)
-    chosen = torch.randint(len(samples), (draws, len(samples)), generator=generator)
-    means = samples.cpu()[chosen].mean(1)
-    tail = (1 - probability) / 2
-    bounds = means.quantile(torch.tensor([tail, 1 - tail], dtype=torch.float64))
+    generator = torch.Generator().manual_seed(0)
+    chosen = torch.randint(len(samples), (DRAWS, len(samples)), generator=generator)
+    bounds = samples.cpu()[chosen].mean(1).quantile(torch.tensor([0.025, 0.975], dtype=torch.float64))
     low, high = bounds.nan_to_num(nan=torch.inf, posinf=torch.inf).tolist()  # between infinities it finds NaN
     return Interval(samples.mean().item(), low, high)
 

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 ROUNDS, HYPOTHESES, SURE = 3, 32, 0.6
 """Number of sweeps, their hypotheses, and the confidence above which an index counts."""
+QUANTILE, MARGIN = 0.005, 0.65
+"""Share of the vertices that may be nearer, as a few false matches always are; factor of the depth of the others."""
 
 
 @torch.no_grad()
@@ -28,8 +30,6 @@ def nearest_depth(
     sphere_images: Float[Tensor, "B n 3 V_image"],
     rig: CameraRig,
     seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
-    quantile: float = 0.005,
-    margin: float = 0.65,
 ) -> float:
     """Return the ``min_depth`` in metres for a sweep of these images, from a few quick sweeps.
 
@@ -41,11 +41,9 @@ def nearest_depth(
             of a sequence.
         rig: of the n cameras, for all frames.
         seen: ``([B,] n, V_image)``, True where the images show something.
-        quantile: share of the vertices that may be nearer: a few false matches always are.
-        margin: factor of that depth.
 
     Raises:
-        ArgumentError: if all cameras are in one place, or ``margin`` or ``quantile`` are not between 0 and 1.
+        ArgumentError: if all cameras are in one place.
 
     Examples:
         >>> import math
@@ -57,9 +55,6 @@ def nearest_depth(
         >>> nearest_depth(images, rig) > 0.3  # a sweep of this rig would begin at 0.06 m
         True
     """
-    for name, value in (("quantile", quantile), ("margin", margin)):
-        if not 0 < value <= 1:
-            raise ArgumentError(f"{name}: expected more than 0, at most 1, got {value}")
     radius = float((rig.positions - rig.center[..., None, :]).norm(dim=-1).max())
     if radius < 1e-6:
         raise ArgumentError(
@@ -76,8 +71,8 @@ def nearest_depth(
         if not len(certain):
             break
         # A bare floor is a surface without sure vertices: unsure ones count, too, with a larger share left out.
-        surface = torch.minimum(certain.quantile(quantile), seen_twice.quantile(4 * quantile))
-        distance = max(least, margin * float(surface))
+        surface = torch.minimum(certain.quantile(QUANTILE), seen_twice.quantile(4 * QUANTILE))
+        distance = max(least, MARGIN * float(surface))
         if distance < 1.1 * nearest:
             return max(nearest, min(distance, nearest * 1.1))
         nearest = distance

@@ -62,13 +62,10 @@ def test_contrast_of_a_step() -> None:
     assert contrast.max() == pytest.approx(0.5, abs=0.02)
 
 
-@pytest.mark.parametrize(("options", "quantile"), [({"probability": 0.9}, 1.645), ({}, 1.960)])
-def test_bootstrap_intervals_of_many_values_are_those_of_a_normal_mean(
-    options: dict[str, float], quantile: float
-) -> None:
+def test_bootstrap_intervals_of_many_values_are_those_of_a_normal_mean() -> None:
     values = torch.rand(200, generator=torch.Generator().manual_seed(1)).double()
-    interval = bootstrap_interval(values, **options, draws=5000)
-    half = quantile * values.std().item() / math.sqrt(200)
+    interval = bootstrap_interval(values)
+    half = 1.960 * values.std().item() / math.sqrt(200)
     assert interval.mean == pytest.approx(values.mean().item())
     assert interval.low == pytest.approx(interval.mean - half, abs=0.05 * half)
     assert interval.high == pytest.approx(interval.mean + half, abs=0.05 * half)
@@ -79,8 +76,6 @@ def test_bootstrap_leaves_out_what_is_unknown() -> None:
     assert bootstrap_interval([2.0, math.nan, 4.0]).mean == 3.0
     few = bootstrap_interval([0.3, 1.7, 0.9, math.nan, 5.2, 2.1, 3.3, 0.05])
     assert few == pytest.approx((1.9357143, 0.8280357, 3.2573214))
-    with pytest.raises(ArgumentError, match="probability"):
-        bootstrap_interval([1.0], 1.5)
 
 
 def test_the_surest_by_brute_force() -> None:

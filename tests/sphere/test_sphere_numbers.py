@@ -75,7 +75,7 @@ evaluation_mask(RIG, PLAIN.vertices, 2 * rand(2, 162), MASK) -> 0.0646
 error_of_surest(PRED, TRUTH, [0.2, 0.5, 1.0], MASK) -> -1.9115
 [seam_mask(PLAIN.vertices, 0.2, seams) for seams in ("all", "charts", "panorama")] -> 10.0351
 seam_mask(Icosphere(4, DOUBLE).vertices) -> -1.2836
-bootstrap_interval(PRED[0]), bootstrap_interval(PRED[1, :9], 0.8, 50, 3) -> -1.0078
+bootstrap_interval(PRED[0]), bootstrap_interval(PRED[1, :9]) -> -0.1790
 angular_error(rand(9, 3), rand(9, 3, seed=1) - 0.5) -> -0.1090
 """
 """A call -> the sum over the numbers in its result, each weighted by where it stands."""

@@ -576,7 +576,6 @@ seam_mask(torch.tensor([[0.0, -1.0, 0.0]]), 0.0) -> angle: Argument
 omnimvs_error(torch.zeros(1, 8, 24), torch.zeros(1, 8, 24)) -> pred_inverse_depth: Shape
 omnimvs_error(torch.zeros(1, 8, 16), torch.zeros(1, 8)) -> target_inverse_depth: Shape
 evaluation_mask(ring_rig(4), torch.tensor([[0.0, -1.0, 0.0]]), torch.zeros(1)) -> inverse_depth: Shape
-evaluation_mask(rig(), DIRECTIONS, torch.zeros(1, 1), least_cameras=0) -> least_cameras: Argument
 evaluation_mask(rig(), DIRECTIONS, torch.zeros(1, 1), torch.ones(2, 1)) -> valid: Shape
 OmniMVSError(min_depth=0.0) -> min_depth: Argument
 OmniMVSError().update(torch.zeros(1, 8, 16), torch.zeros(1, 8, 16), weights=torch.ones(128)) -> weights: Argument

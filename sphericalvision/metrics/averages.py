@@ -12,7 +12,7 @@ from torchmetrics import Metric
 
 from sphericalvision.core import ArgumentError, check_counts
 from sphericalvision.metrics.depth_errors import depth_error, depth_index_error
-from sphericalvision.metrics.omnimvs import NUM_HYPOTHESES, omnimvs_error
+from sphericalvision.metrics.omnimvs import omnimvs_error
 from sphericalvision.metrics.stereo import left_right_error, stereo_error
 
 
@@ -124,10 +124,9 @@ class OmniMVSError(MeanOverImages):
 
     Args:
         min_depth: nearest hypothesis in metres.
-        num_hypotheses: N; published numbers are for 192.
 
     Raises:
-        ArgumentError: if either is not positive.
+        ArgumentError: if it is not positive.
 
     Examples:
         >>> import torch
@@ -140,17 +139,14 @@ class OmniMVSError(MeanOverImages):
     error_names = DepthIndexError.error_names
     takes_weights = False
 
-    def __init__(
-        self, min_depth: float = 0.55, num_hypotheses: int = NUM_HYPOTHESES, **kwargs: object
-    ) -> None:
+    def __init__(self, min_depth: float = 0.55, **kwargs: object) -> None:
         super().__init__(**kwargs)
-        check_counts(num_hypotheses=num_hypotheses)
         if not min_depth > 0:
             raise ArgumentError(f"min_depth: expected a positive number of metres, got {min_depth!r}")
-        self.min_depth, self.num_hypotheses = min_depth, num_hypotheses
+        self.min_depth = min_depth
 
     def _errors(self, pred: Tensor, target: Tensor, **options: Tensor | None) -> dict[str, Tensor]:
-        return omnimvs_error(pred, target, self.min_depth, num_hypotheses=self.num_hypotheses, **options)
+        return omnimvs_error(pred, target, self.min_depth, **options)
 
 
 class StereoError(MeanOverImages):

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, seen_by
-from sphericalvision.core import ArgumentError, check_choice, check_counts
+from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.icosphere import icosphere_vertices
 from sphericalvision.icosphere.topology import vertex_at
 from sphericalvision.shapes import check_shapes
@@ -33,7 +33,6 @@ def evaluation_mask(
     directions: Float[Tensor, "V 3"],
     inverse_depth: Float[Tensor, "B V"],
     valid: Shaped[Tensor, "B V"] | None = None,
-    least_cameras: int = 2,
 ) -> EvaluationMask:
     """Leave out points that fewer than two cameras see, whose depth no parallax shows.
 
@@ -42,13 +41,9 @@ def evaluation_mask(
         directions: ``(V, 3)`` unit directions from the rig's centre, of any grid.
         inverse_depth: true ones ``(B, V)`` in 1/m; 0 is infinity.
         valid: ``(B, V)``, True where there is a truth; everywhere when not given.
-        least_cameras: number of cameras that must see a point, 1 or more.
 
     Returns:
         The mask, and the share of valid points left out, not weighted by solid angle; NaN for an image without any.
-
-    Raises:
-        ArgumentError: if ``least_cameras`` is below 1.
 
     References:
         Komatsu et al. (2020), section IV-C: tilted cameras leave the sky to fewer than two.
@@ -61,10 +56,9 @@ def evaluation_mask(
         >>> mask, left_out  # nobody sees what is above
         (tensor([[ True,  True,  True, False]]), tensor([0.2500]))
     """
-    check_counts(least_cameras=least_cameras)
     valid = torch.ones_like(inverse_depth, dtype=torch.bool) if valid is None else valid.bool()
     masked = torch.where(valid, inverse_depth, 0.0)
-    mask = valid & (seen_by(rig, directions, masked) >= least_cameras)
+    mask = valid & (seen_by(rig, directions, masked) >= 2)
     return EvaluationMask(mask, 1 - mask.sum(1) / valid.sum(1))
 
 

@@ -19,7 +19,6 @@ def omnimvs_error(
     target_inverse_depth: Float[Tensor, "B h w"],
     min_depth: float = 0.55,
     mask: Shaped[Tensor, "B h w"] | None = None,
-    num_hypotheses: int = NUM_HYPOTHESES,
 ) -> dict[str, Float[Tensor, " B"]]:
     """Return ``>1 >3 >5 MAE RMS`` of each image by the official protocol, in percent of N.
 
@@ -32,7 +31,6 @@ def omnimvs_error(
         target_inverse_depth: ``(B, h, w)``; 0 is infinity, NaN is left out.
         min_depth: nearest hypothesis in metres.
         mask: ``(B, h, w)``, True where the truth counts; everywhere when not given.
-        num_hypotheses: N; published numbers are for 192.
 
     Returns:
         The five errors ``(B,)``; NaN for an image without a valid point.
@@ -54,14 +52,14 @@ def omnimvs_error(
     """
     if not min_depth > 0:
         raise ArgumentError(f"min_depth: expected a positive number of metres, got {min_depth!r}")
-    index_from_inverse = (num_hypotheses - 1) * min_depth
+    index_from_inverse = (NUM_HYPOTHESES - 1) * min_depth
     pred, target = (
         _near_horizon(x).double() * index_from_inverse for x in (pred_inverse_depth, target_inverse_depth)
     )
-    counts = (target >= 0) & (target <= num_hypotheses)
+    counts = (target >= 0) & (target <= NUM_HYPOTHESES)
     if mask is not None:
         counts = counts & _near_horizon(mask).bool()
-    return depth_index_error(pred, target, num_hypotheses, counts)
+    return depth_index_error(pred, target, NUM_HYPOTHESES, counts)
 
 
 def _near_horizon(panorama: Tensor) -> Tensor:

@@ -21,8 +21,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sphericalvision.crown.places import own_charts
-from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_vertices
+from sphericalvision.icosphere import level_from_num_vertices
 from sphericalvision.icosphere.topology import chart_vertex_ids
 from sphericalvision.shapes import check_shapes
 from sphericalvision.tables import constant_table
@@ -42,9 +41,7 @@ def chart_vertices(level: int, device: torch.device) -> Int[Tensor, "5 rows colu
                 [ 2,  2,  2]])
     """
     n = 2**level
-    before = own_charts(torch.arange(num_icosphere_vertices(level), device=device)[None, None], n)[
-        0, :, 0
-    ].roll(1, 0)
+    before = torch.arange(1, 10 * n * n + 1, device=device).view(5, 2 * n, n).roll(1, 0)
     padded = before.new_empty(5, 2 * n + 2, n + 2)
     padded[:, :-1, 1:] = chart_vertex_ids(level, device)
     # The first row of the chart before runs along our northern west edge, its east edge along our southern west edge

@@ -20,9 +20,9 @@ from sphericalvision.tables import constant_table
 Rings = tuple[tuple[int, ...], ...]
 Own = Callable[[Tensor, Tensor, Tensor | None, int], Tensor]
 
-# Taps of the five neighbours in the order of ``ring_table``, then the tap of the gap, at north pole, A, B, south pole.
-CHART_RINGS: Rings = ((2, 3, 4, 5, 0, 1), (1, 2, 3, 4, 5, 0), (3, 4, 5, 0, 1, 2), (5, 0, 1, 2, 3, 4))
-NORTH_RINGS: Rings = ((2, 3, 4, 0, 1, 5), (0, 1, 3, 4, 5, 2), (2, 3, 4, 0, 1, 5), (4, 0, 1, 2, 3, 5))
+# Taps of the five neighbours as in ``ring_table``, then the tap of the gap: north pole, A and B of charts, south pole.
+CHART_RINGS: Rings = ((2, 3, 4, 5, 0, 1), *((1, 2, 3, 4, 5, 0), (3, 4, 5, 0, 1, 2)) * 5, (5, 0, 1, 2, 3, 4))
+NORTH_RINGS: Rings = ((2, 3, 4, 0, 1, 5), *((0, 1, 3, 4, 5, 2), (2, 3, 4, 0, 1, 5)) * 5, (4, 0, 1, 2, 3, 5))
 
 
 def convolve_own(
@@ -113,8 +113,7 @@ def _taps_of_rings(rings: Rings, dtype: torch.dtype, device: torch.device) -> Te
 
     Values are brought to the taps, not weights to the rings, which are many more.
     """
-    pole_north, a, b, pole_south = rings
-    taps = torch.tensor((pole_north, *(a, b) * 5, pole_south), device=device)
+    taps = torch.tensor(rings, device=device)
     one_hot = torch.eye(7, dtype=dtype, device=device)
     neighbors = one_hot[taps[:, :5]] + one_hot[taps[:, 5:]] / 5  # each is a fifth of the mean in the gap
     return torch.cat((neighbors, one_hot[6].expand(12, 1, 7)), 1)

@@ -89,11 +89,6 @@ def _planar_taps(dtype: torch.dtype, device: torch.device) -> Tensor:
     return F.one_hot(taps, 8)[..., :7].mT.to(dtype).contiguous()
 
 
-def neighbor_taps(taps: Taps) -> list[int]:
-    """Return the positions of the seven taps among the nine of a planar kernel."""
-    return [place for place, tap in enumerate(sum(taps, ())) if tap < 7]
-
-
 def convolve(
     images: Float[Tensor, "B C_in *N h w"],
     kernel: Float[Tensor, "C_out C_in *depth 3 3"],

@@ -14,7 +14,7 @@ from sphericalvision.crown.charts import chart_vertices, ring_table
 from sphericalvision.crown.hexagons import CHART_RINGS, NORTH_RINGS, Rings, two_orientations
 from sphericalvision.crown.places import as_rectangles, level_of_rectangles, place_ids
 from sphericalvision.crown.statistics import CrownNorm
-from sphericalvision.crown.taps import COL_TAPS, convolve_rectangles, neighbor_taps
+from sphericalvision.crown.taps import COL_TAPS, convolve_rectangles
 from sphericalvision.geometry.means_by_id import MeansById, mean_by_id, means_by_id
 from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.icosphere.topology import coarse_vertex_ids
@@ -206,19 +206,15 @@ def hexagons_in_triton(
 def _tap_tables(level: int, stride: int, rings: Rings, device: torch.device) -> TapTables:
     number, n = num_icosphere_vertices(level), 2**level
     charts, special = chart_vertices(level, device), ring_table(level, device)
-    ids = neighbor_taps(COL_TAPS)
+    ids = [sum(COL_TAPS, ()).index(tap) for tap in range(7)]  # places of the taps in a planar kernel
     own = torch.stack(
         [charts[:, place // 3 : place // 3 + 2 * n, place % 3 : place % 3 + n] for place in ids], -1
     )
-    order = torch.tensor([sum(COL_TAPS, ())[place] for place in ids], device=device)
     taps = special.new_empty(number, 7)
-    taps[1:-1, order] = own.view(-1, 7)
-    pole_north, a, b, pole_south = rings
-    for vertex, ring in enumerate((pole_north, *(a, b) * 5, pole_south)):
-        *neighbors, center = special[vertex]
-        mean = center * 0 + number + vertex
-        taps[center, torch.tensor(ring, device=device)] = torch.stack((*neighbors, mean))
-        taps[center, 6] = center
+    taps[1:-1] = own.view(-1, 7)
+    means = number + torch.arange(12, device=device)[:, None]
+    taps[special[:, 5:], torch.tensor(rings, device=device)] = torch.cat((special[:, :5], means), 1)
+    taps[special[:, 5], 6] = special[:, 5]
     taps = (taps if stride == 1 else taps[coarse_vertex_ids(level, device)]).flatten()
     around = special[:, :5].flatten()
     is_gap = taps >= number

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int, Num, Shaped
 from torch import Tensor
 
 from sphericalvision.icosphere import level_from_num_vertices, num_icosphere_vertices
-from sphericalvision.icosphere.topology import chart_vertex_ids, vertex_at
+from sphericalvision.icosphere.topology import chart_vertex_ids
 from sphericalvision.tables import constant_table
 
 
@@ -29,13 +29,9 @@ def place_ids(level: int, device: torch.device | None = None) -> Int[Tensor, "10
     A col rectangle is a chart with all its borders. A row rectangle has in its western half the northern half of a
     chart, in its eastern half the southern half of the next one.
     """
-    n = 2**level
-    chart = torch.arange(5, device=device)[:, None, None]
-    row, column = torch.arange(n + 1, device=device)[:, None], torch.arange(2 * n + 1, device=device)
-    west = vertex_at(chart, row, column.clamp(max=n), level)
-    east = vertex_at((chart + 1) % 5, row + n, (column - n).clamp(min=0), level)
-    rows = torch.where(column <= n, west, east)
-    return torch.cat((chart_vertex_ids(level, device).flatten(1), rows.flatten(1)))
+    n, charts = 2**level, chart_vertex_ids(level, device)
+    rows = torch.cat((charts[:, : n + 1], charts.roll(-1, 0)[:, n:, 1:]), -1)  # the column between is in both
+    return torch.cat((charts.flatten(1), rows.flatten(1)))
 
 
 def values_at_places(

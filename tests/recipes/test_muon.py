@@ -58,21 +58,6 @@ def test_no_gradient_is_no_step() -> None:
     assert all(map(torch.equal, before, weights(net)))
 
 
-@pytest.mark.parametrize("factor", [1.0, 1000.0])
-def test_a_step_is_as_large_whatever_the_size_of_the_gradient(factor: float) -> None:
-    net = layers()
-    before = weights(net)
-    optimizer = Muon(net.parameters(), lr=1e-2)
-    generator = torch.Generator().manual_seed(0)
-    for parameter in net.parameters():
-        parameter.grad = factor * torch.randn(parameter.shape, generator=generator)
-    optimizer.step()
-    for one, other in zip(weights(net), before, strict=True):
-        if one.ndim > 1:
-            singular = torch.linalg.svdvals((one - other).flatten(1))
-            torch.testing.assert_close(singular, torch.full_like(singular, SIZE * 1e-2), rtol=0.35, atol=0)
-
-
 def test_biases_are_adamws() -> None:
     net, other = layers(), layers()
     muon = Muon(net.parameters(), lr=1e-2, betas=(0.8, 0.99), weight_decay=0.1)
@@ -89,19 +74,20 @@ def test_biases_are_adamws() -> None:
         assert torch.equal(one, two) == (one.ndim == 1)
 
 
-def test_steps_are_along_the_gradient_and_its_mean() -> None:
-    """Nesterov's: of the running mean with this gradient, and of the gradient once more."""
+@pytest.mark.parametrize(("rows", "size"), [(3, SIZE), (20, 2 * SIZE)])
+def test_steps_are_along_the_gradient_and_its_mean(rows: int, size: float) -> None:
+    """Nesterov's: of the running mean with this gradient, and of the gradient once more; larger where rows are more."""
     torch.manual_seed(0)
-    layer, generator = nn.Linear(5, 3, bias=False), torch.Generator().manual_seed(1)
+    layer, generator = nn.Linear(5, rows, bias=False), torch.Generator().manual_seed(1)
     optimizer = Muon(layer.parameters(), lr=1e-2, momentum=0.8, weight_decay=0.1)
-    expected, mean = layer.weight.detach().clone(), torch.zeros(3, 5)
+    expected, mean = layer.weight.detach().clone(), torch.zeros(rows, 5)
     for _ in range(3):
-        gradient = torch.randn(3, 5, generator=generator)
+        gradient = torch.randn(rows, 5, generator=generator)
         layer.weight.grad = gradient.clone()
         optimizer.step()
         mean = 0.8 * mean + 0.2 * gradient
         step = orthogonalized((0.8 * mean + 0.2 * gradient)[None])[0]
-        expected = (1 - 1e-2 * 0.1) * expected - 1e-2 * SIZE * step
+        expected = (1 - 1e-2 * 0.1) * expected - 1e-2 * size * step
     torch.testing.assert_close(layer.weight.detach(), expected)
 
 

@@ -24,6 +24,7 @@ from sphericalvision.cameras import ring_rig
 from sphericalvision.io.images import read_image
 from sphericalvision.scenes import make_scene, render_rig
 from tests.recipes.conftest import run_recipe
+from tests.recipes.test_train import same, stored
 from tests.recipes.tiny import TINY_TRAINING, Run, typed, write_capture
 
 pytestmark = pytest.mark.slow
@@ -96,12 +97,7 @@ def results(folder: Path) -> dict[str, bytes]:
 
 
 def same_weights(first: Path, second: Path) -> None:
-    states = [
-        torch.load(path / "checkpoints/last.ckpt", weights_only=True)["state_dict"]
-        for path in (first, second)
-    ]
-    for name, value in states[0].items():
-        assert torch.equal(value, states[1][name]), name
+    assert same(stored(first), stored(second))
 
 
 def same_files(suffixes: tuple[str, ...]) -> Callable[[Path, Path], None]:

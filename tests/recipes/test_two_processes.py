@@ -27,6 +27,7 @@ from sphericalvision.recipes.datamodules.data_module import (
 from sphericalvision.recipes.training.loaders import Loaders
 from tests.processes import python
 from tests.recipes.test_batches import Numbers
+from tests.recipes.test_train import stored
 from tests.recipes.tiny import Run
 
 Words = tuple[str, ...]
@@ -77,10 +78,6 @@ def train(folder: Path, *words: str) -> str:
     )
 
 
-def state(folder: Path) -> dict[str, torch.Tensor]:
-    return torch.load(folder / "checkpoints/last.ckpt", weights_only=True)["state_dict"]
-
-
 def errors(folder: Path) -> dict[str, float]:
     (values,) = json.loads((folder / "validation.json").read_text()).values()
     return values
@@ -96,7 +93,7 @@ def test_two_processes_train_as_one(run: Run, tmp_path: Path, tiny_training: Wor
     assert printed.count("Results are in") == 1
     train(tmp_path, *words, *DDP, "trainer.max_steps=1", "output=parts")
     train(tmp_path, *words, *DDP, "trainer.max_steps=3", "output=parts", "resume=auto")
-    one, two, parts = (state(tmp_path / name) for name in ("one", "two", "parts"))
+    one, two, parts = (stored(tmp_path / name)["state_dict"] for name in ("one", "two", "parts"))
     torch.testing.assert_close(two, one, rtol=1e-3, atol=1e-3)
     torch.testing.assert_close(parts, two, rtol=0, atol=0)
     assert errors(tmp_path / "two") == pytest.approx(errors(tmp_path / "one"), rel=1e-3)
@@ -136,8 +133,8 @@ def test_two_processes_stop_together_and_go_on(
         watchdog.cancel()
         assert process.wait() == status, printed
     assert "Stopped at step" in printed
-    stopped = torch.load(tmp_path / "run/checkpoints/last.ckpt", weights_only=True)["global_step"]
+    stopped = stored(tmp_path / "run")["global_step"]
     assert stopped >= 5
     end = f"trainer.max_steps={stopped + 1}"
     train(tmp_path, *words, end, f"trainer.val_check_interval={stopped + 1}", "resume=auto")
-    assert torch.load(tmp_path / "run/checkpoints/last.ckpt", weights_only=True)["global_step"] == stopped + 1
+    assert stored(tmp_path / "run")["global_step"] == stopped + 1

@@ -80,6 +80,3 @@ def test_a_fused_cloud_says_which_frames_it_has_even_if_nobody_closed_it(tmp_pat
     Outputs(tmp_path, Settings(["fused"], 32)).write("7", depth)
     again = Outputs(tmp_path, Settings(["fused"], 32, go_on=True))
     assert [again.has(name) for name in ("7", "8")] == [True, False]
-    assert not Outputs(tmp_path, Settings(["fused", "npz"], 32, go_on=True)).has("7")
-    assert not Outputs(tmp_path, Settings(["fused", "video"], 32, go_on=True)).has("7")
-    assert not Outputs(tmp_path, Settings(["fused"], 32)).has("7")

@@ -105,6 +105,9 @@ def test_everything_is_in_one_folder(trained: Any) -> None:
     logged = [float(row["val/MAE"]) for row in csv.DictReader(metrics.open()) if row["val/MAE"]]
     (validated,) = json.loads((folder / "validation.json").read_text()).values()
     assert validated["MAE"] == pytest.approx(min(logged))
+    parameters = stored(folder)["hyper_parameters"]
+    assert parameters["level"] == 3
+    assert all(isinstance(value, int | float | str | bool | None) for value in parameters.values())
 
 
 def test_evaluation_equals_validation(run: Run, tmp_path: Path, trained: Any) -> None:
@@ -144,12 +147,6 @@ def test_of_averaged_weights_both_files_hold_the_average(
     beside = load_weights(tmp_path / "averaged/checkpoints/best.safetensors").state_dict()
     assert all(torch.equal(value, best["state_dict"][f"net.{name}"]) for name, value in beside.items())
     assert not same(best, {"state_dict": best["current_model_state"]})
-
-
-def test_saved_hyperparameters_are_plain_scalars(trained: Any) -> None:
-    parameters = stored(trained.folder)["hyper_parameters"]
-    assert parameters["level"] == 3
-    assert all(isinstance(value, int | float | str | bool | None) for value in parameters.values())
 
 
 def test_training_starts_from_weights_of_another_level(

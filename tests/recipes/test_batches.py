@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 import torch
-from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, EquirectangularCamera, ring_rig
 from sphericalvision.core import ArgumentError
@@ -179,14 +178,15 @@ def test_bfloat16_is_of_layers_alone(name: str, generator: torch.Generator) -> N
 
 
 def test_tables_of_a_batch_are_those_of_its_rigs() -> None:
-    net = IcoSweepNet(level=3, num_hypotheses=4, min_depth=0.5, feature_channels=2, num_cameras=3)
-    rigs = [rig.to(torch.float32) for rig in three_rigs()]
+    """Of rigs that are new made in one go, of others one by one."""
+    net, rigs = refined(), [ring_rig(2, radius, SIZE) for radius in (0.1, 0.2, 0.3)]
     tables = RigTables(net)
-    batch: Tensor
-    for batch, *singles in zip(tables.of(rigs), *map(net.tables, rigs), strict=True):
-        assert torch.equal(batch, torch.stack(singles))
-    same = [rigs[0], ring_rig(3, 0.2, SIZE)]
-    assert tables.of(CameraRig.stack(same)) is tables.of(same) is tables.of(rigs[0])
+    for batch in (CameraRig.stack(rigs), CameraRig.stack(rigs), rigs):
+        singles = zip(*(_tensors(net.tables(rig)) for rig in rigs), strict=True)
+        for together, alone in zip(_tensors(tables.of(batch)), singles, strict=True):
+            assert torch.equal(together, torch.stack(alone))
+    same = [ring_rig(2, 0.4, SIZE) for _ in range(2)]
+    assert tables.of(CameraRig.stack(same)) is tables.of(same) is tables.of(same[0])
 
 
 def test_images_of_two_sizes_are_no_batch() -> None:

@@ -8,15 +8,12 @@ from typing import Any
 
 import torch
 
-from sphericalvision.cameras import CameraRig
 from sphericalvision.data import collate_samples
 from sphericalvision.models import IcoSweepNet, RefinedSweepNet
 from sphericalvision.models.refinedsweepnet import PRIOR
 from sphericalvision.recipes.datamodules.data_module import TrainingStream
 from sphericalvision.recipes.datamodules.random_rigs import LevelSamples, RandomRigDataModule
-from sphericalvision.recipes.training.rig_tables import RigTables, _tensors
 from sphericalvision.scenes.draws import Draws
-from sphericalvision.scenes.random_rigs import random_rig
 from tests.recipes.test_batches import module_of
 from tests.worlds import RANDOM_RIGS
 
@@ -99,17 +96,6 @@ def test_every_level_trains_the_same_weights() -> None:
         if len(seen) == 3:
             return
     raise AssertionError(f"batches of {seen} vertices alone")
-
-
-def test_tables_of_new_rigs_are_made_in_one_go() -> None:
-    net = network()
-    generator = torch.Generator().manual_seed(1)
-    rigs = [random_rig(generator, (3,), image_size=(24, 24), panoramas=0.0) for _ in range(3)]
-    tables = RigTables(net)
-    together = tables.of(CameraRig.stack(rigs))
-    one_by_one = tables.of(CameraRig.stack(rigs))  # met before: kept one by one
-    for one, other in zip(_tensors(together), _tensors(one_by_one), strict=True):
-        assert torch.equal(one, other)
 
 
 def test_a_batch_that_is_turned_is_the_same_world() -> None:

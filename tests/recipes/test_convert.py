@@ -35,9 +35,7 @@ def calibration(tmp_path: Path) -> Path:
 
 
 def test_a_rig_is_converted_with_its_poses(run: Run, calibration: Path) -> None:
-    printed = run("convert", f"calibration={calibration}", "to=kannala_brandt", "output=new/kb.yaml")
-    assert "max (px)" in printed
-    assert "front" in printed
+    run("convert", f"calibration={calibration}", "to=kannala_brandt", "output=new/kb.yaml")
     old, new = read_rig(calibration), read_rig(calibration.parent / "new/kb.yaml")
     assert new.names == old.names
     torch.testing.assert_close(new.world_from_camera, old.world_from_camera)

@@ -113,8 +113,5 @@ def test_the_next_sample_stands_in_and_counts_in_training_alone() -> None:
         == "2 of 4 frames were left out (data.on_error=skip). The first: 1.png: is damaged"
     )
     assert SkipDamaged(Numbers(set()), True).left_out() is None
-
-
-def test_without_any_sample_it_is_an_error() -> None:
     with pytest.raises(FileFormatError, match=r"none of 4 frames can be read. The first: 0.png: is damaged"):
         SkipDamaged(Numbers({0, 1, 2, 3}), True)[2]

@@ -139,7 +139,8 @@ def read_text(path: Path) -> str:
     except UnicodeDecodeError as error:
         text, bad = "", error.start
     if re.search("[\0-\x08\x0e-\x1f]", text or ("" if is_marked else data.decode("latin-1"))):
-        is_wide = 0.4 * len(data) < data.count(b"\0") < 0.6 * len(data)
+        zeros = [data[start::2].count(b"\0") for start in (0, 1)]  # of numbers they stand anywhere
+        is_wide = not min(zeros) and max(zeros) > 0.4 * len(data)
         kind = "UTF-16 without a byte order mark; save it as UTF-8" if is_wide else "binary data"
         raise FileFormatError(f"{path}: expected a text file, got {kind}")
     if bad is not None:

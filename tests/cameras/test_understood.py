@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 import yaml
@@ -312,10 +313,12 @@ def test_other_encodings_are_named(tmp_path: Path, encoding: str, named: str) ->
     (tmp_path / "camera.yaml").write_text(f"# a\n# für\n{yaml.safe_dump(MESSAGE)}", encoding=encoding)
     with pytest.raises(FileFormatError, match=named):
         read_camera(tmp_path / "camera.yaml")
-    # A mark alone
-    (tmp_path / "camera.txt").write_bytes("\ufeff".encode(encoding.replace("cp1252", "utf-8")))
-    with pytest.raises(FileFormatError, match=r"camera\.txt: "):
-        read_camera(tmp_path / "camera.txt")
+    # A mark alone, and an array
+    mark = "\ufeff".encode(encoding.replace("cp1252", "utf-8"))
+    for content, kind in ((mark, ""), (np.tile([0.1, 0.0], 9).tobytes(), ".*binary data")):
+        (tmp_path / "camera.txt").write_bytes(content)
+        with pytest.raises(FileFormatError, match=rf"camera\.txt: {kind}"):
+            read_camera(tmp_path / "camera.txt")
 
 
 @pytest.mark.parametrize(

@@ -177,7 +177,9 @@ def _metres(chunk: Any, component: Any, path: Path) -> float:
         if "scale" in transform
     ]
     if any(scale <= 0 or abs(scale / scales[0] - 1) > 1e-6 for scale in scales):
-        raise FileFormatError(f"{path}, scale: expected one number above 0 of chunk and component, got {scales}")
+        raise FileFormatError(
+            f"{path}, scale: expected one number above 0 of chunk and component, got {scales}"
+        )
     return scales[-1] if scales else 1.0
 
 

@@ -170,8 +170,8 @@ def disagreement_warning(depth: Depth) -> str | None:
     values = ", ".join(f"{name} {value:.2f}" for name, value in agreement.items())
     return (
         f"Images do not show what the others show there: {', '.join(wrong)} "
-        f"(correlation {values}; usual are 0.7 and more). Cameras may be exchanged, mirrored, turned, covered, or of "
-        "another moment: compare images= and cameras= with the calibration; depth is wrong where it looks."
+        f"(correlation {values}; usual are 0.7 and more). Cameras may be exchanged, mirrored, turned, covered, of "
+        "another moment, or dark beyond max_angle: compare images= and cameras= with the calibration."
     )
 
 

@@ -22,6 +22,7 @@ from sphericalvision.recipes.app.command import Command
 from sphericalvision.recipes.app.kinds import OnlyWith
 from sphericalvision.recipes.app.rigs import make_ring
 from sphericalvision.recipes.app.words import quote_paths
+from sphericalvision.recipes.commands import export
 from tests.recipes.board_pictures import COLUMNS, ROWS, SQUARE, write_boards
 from tests.recipes.tiny import TINY_SCENES, TINY_TRAINING, Run, composed, write_capture
 
@@ -110,6 +111,14 @@ def test_every_key_is_looked_at_or_refused(words: str, run: Run, tmp_path: Path,
     keys = [str(key) for key in config if key not in NAMED]
     forgotten = [key for key in keys if key not in looked_at and not unused_key(keys_of(name), config, [key])]
     assert forgotten == []
+
+
+@pytest.mark.usefixtures("capture")
+def test_an_export_names_its_tables_and_its_programs(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(export, "programs", lambda *_: [Path("depth.onnx")])
+    words = f"{RIG} {CHECKPOINT} min_depth=0.5 height=16 formats=[onnx] tables=inputs output=out"
+    tables, program = run("export", *words.split()).splitlines()[-2:]
+    assert (Path(tables).name, program) == ("tables.safetensors", "depth.onnx")
 
 
 MARKED = ("predict", "inspect", "convert", "render", "calibrate", "train", "evaluate", "study")

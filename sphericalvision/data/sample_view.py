@@ -94,11 +94,8 @@ class ToView:
 
     def __call__(self, sample: Sample) -> Sample:
         truth = sample["inverse_depth"], sample["valid"]
-        entries: Sample = {
-            key: value
-            for key, value in sample.items()
-            if key not in ("images", "seen", "inverse_depth", "valid")
-        }
+        replaced = ("images", "seen", "inverse_depth", "valid")
+        entries: Sample = {key: value for key, value in sample.items() if key not in replaced}
         entries |= self.images(sample["images"], sample["rig"])
         if self.view.depth_level is not None:
             entries["inverse_depth"], entries["valid"] = self._to_sphere.ground_truth(*truth)

@@ -82,11 +82,8 @@ class Kitti360Dataset(ScannedFrames):
             frames = [numbers_of[k] for k in chosen]
             center = chosen[len(chosen) // 2]
             name = f"{sequence}/{numbers_of[center]:010d}"
-            world_from_pose = trajectory.world_from_camera[chosen].double()
-            middle_from_pose = (
-                invert_transform(trajectory.world_from_camera[center].double()) @ world_from_pose
-            )
-            self._poses[name] = middle_from_pose
+            world_from_pose = trajectory.world_from_camera.double()
+            self._poses[name] = invert_transform(world_from_pose[center]) @ world_from_pose[chosen]
             self._motions[name] = self._motion(trajectory, numbers_of, center)
             raw = self.root / "data_2d_raw" / sequence
             images = {

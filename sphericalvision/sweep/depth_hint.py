@@ -37,15 +37,9 @@ class DepthHint(NamedTuple):
     def coarser(self) -> DepthHint:
         """Return the hint on the next coarser icosphere: the vertex's own, or the mean of its neighbours'."""
         level = level_from_num_vertices(self.weight.shape[-1])
-        values = torch.stack(
-            (
-                self.inverse_depth.where(self.weight > 0, 0.0),
-                self.weight,
-                self.weight.new_ones(()).expand_as(self.weight),
-            ),
-            -1,
-        )
-        sums = ring_mean((values * self.weight[..., None]).transpose(0, 1), level - 1).transpose(0, 1)
+        inverse_depth = self.inverse_depth.where(self.weight > 0, 0.0)
+        values = torch.stack((inverse_depth * self.weight, self.weight * self.weight, self.weight), -1)
+        sums = ring_mean(values.transpose(0, 1), level - 1).transpose(0, 1)
         around = DepthHint(*(sums[..., :2] / sums[..., 2:].clamp(min=1e-6)).unbind(-1))
         ids = ids_of_coarser_level(level, level - 1, self.weight.device)
         known = self.weight[:, ids] > 0

@@ -18,7 +18,7 @@ from sphericalvision.models import IcoSweepNet
 from sphericalvision.models.icosweepnet import CostRegularizer, camera_by_camera
 from tests.models.test_one_graph import Operators
 
-LEVEL, IMAGE_VERTICES, DEPTH_VERTICES = 3, 642, 42
+LEVEL, IMAGE_VERTICES = 3, 642
 
 
 def small_net(**changes: Any) -> IcoSweepNet:

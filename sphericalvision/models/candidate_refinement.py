@@ -128,7 +128,11 @@ class CandidateRefinement(nn.Module):
         )
         values = self.entry(torch.cat((icosphere_upsample(state), *entries), 1))
         if self.details is not None:
-            values = values + self._around(around)
+            if around is None:  # zero times the weights: DDP wants a gradient of each
+                values = values + 0 * self.details.weight.sum()
+            else:
+                deviations, colors = around.split((4, 3), 2)
+                values = values + self.details(torch.cat((3 * deviations, colors), 2).flatten(1, 2))
         scores, *others = self.exit(F.relu(self.block(values))).split((4, 1, 1, 1), 1)
         correction, confidence, sky = (values.squeeze(1) for values in others)
         # A weighted mean of the candidates, as the choice of the best one has no gradient.
@@ -140,14 +144,6 @@ class CandidateRefinement(nn.Module):
             weight, best = others.max(1, keepdim=True)
             second = torch.where(weight > PLAUSIBLE, index.gather(1, best), index[:, 3:]).squeeze(1)
         return RefinedIndex(chosen, confidence, sky, seen, second)
-
-    def _around(self, around: Tensor | None) -> Tensor:
-        """Output of the layer for details; 0 without any."""
-        assert self.details is not None
-        if around is None:  # zero times the weights: DDP wants a gradient of each
-            return 0 * self.details.weight.sum()
-        deviations, colors = around.split((4, 3), 2)
-        return self.details(torch.cat((3 * deviations, colors), 2).flatten(1, 2))  # type: ignore[no-any-return]
 
 
 def finer_logits(fused: FusedLogits, index: Float[Tensor, "B V_fine"]) -> FusedLogits:

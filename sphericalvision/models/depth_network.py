@@ -279,23 +279,21 @@ class DepthNetwork(RemembersArguments):
 
         A hint for a network that takes none is an ``ArgumentError``.
         """
-        on_sphere = self.images == "sphere"
         weight = next((value for value in self.parameters() if value.is_floating_point()), None)
         if weight is not None:
             check_dtype("images", images, weight)
-        levels = sorted({self.level, self.image_level}) if on_sphere else []
-        sizes: list[Sequence[int]] = [(num_icosphere_vertices(level),) for level in levels]
-        sizes = sizes or [images.shape[3:]]
+        levels = sorted({self.level, self.image_level}) if self.images == "sphere" else []
+        counts = [num_icosphere_vertices(level) for level in levels]
         if (
-            images.ndim != (4 if on_sphere else 5)
-            or images.shape[3:] not in sizes
+            images.ndim != (4 if counts else 5)
+            or (counts and images.shape[3] not in counts)
             or images.shape[2] not in self.image_channels
             or (images.shape[1] != self.num_cameras and not self.any_cameras)
         ):
             cameras = "n" if self.any_cameras else self.num_cameras
             channels = " or ".join(map(str, self.image_channels))
-            last = " or ".join(str(size[0]) for size in sizes) if on_sphere else "H, W"
-            where = f" on icospheres of level {' or '.join(map(str, levels))}" if on_sphere else ""
+            last = " or ".join(map(str, counts)) or "H, W"
+            where = f" on icospheres of level {' or '.join(map(str, levels))}" if levels else ""
             raise ShapeError(
                 f"images: expected shape (B, {cameras}, {channels}, {last}) for {cameras} cameras{where}, "
                 f"got {tuple(images.shape)}"

@@ -36,7 +36,9 @@ def add_scale_bar(
         label: quantity and unit.
         faded: whether the colours of the bar fade to grey downwards, as those of ``fade`` do.
     """
-    picture = _enlarge(picture)
+    _check_picture(picture)
+    factor = max(1, -(-_LEAST_WIDTH // picture.shape[1]))
+    picture = picture.repeat(factor, axis=0).repeat(factor, axis=1)
     return np.concatenate((picture, _bar(picture.shape[1], color_map, tuple(ticks), label, faded)))
 
 
@@ -158,12 +160,6 @@ def _text_row(text: str, width: int) -> Picture:
     scale *= min(1.0, (width - 8) / max(extent, 1))
     row = np.full((24, width, 3), 255, np.uint8)
     return cv2.putText(row, text, (4, 17), font, scale, (0, 0, 0), thickness, cv2.LINE_AA).astype(np.uint8)
-
-
-def _enlarge(picture: Picture) -> Picture:
-    _check_picture(picture)
-    factor = -(-_LEAST_WIDTH // picture.shape[1])
-    return picture.repeat(factor, axis=0).repeat(factor, axis=1) if factor > 1 else picture
 
 
 def _check_picture(picture: Picture) -> None:

@@ -27,6 +27,7 @@ from sphericalvision.icosphere import (
 from sphericalvision.recipes.evaluation.tables import Row, Table
 from sphericalvision.scenes import World, make_scene, ray_depth, render_rig
 from sphericalvision.sweep import DepthHint
+from sphericalvision.sweep.visibility import seen_in_view
 
 KINDS, SEEDS = ("plain", "polished", "room"), (2_900_000, 2_900_001)
 LEVEL, PIXELS = 6, 240
@@ -90,7 +91,7 @@ def of_hints(weights: str) -> Table:
                 4, image_size=(PIXELS, PIXELS), field_of_view=field_of_view
             )
         predictor = Predictor(rig, weights, level=LEVEL, min_depth=MIN_DEPTH)
-        views = predictor.pipeline.intake.seen.sum(0)
+        views = seen_in_view(predictor.rig, LEVEL).sum(0)
         directions = predictor.network.grid.directions
         for kind in KINDS:
             scenes = [make_scene(kind, seed) for seed in SEEDS]

@@ -36,7 +36,7 @@ def copy_sources(target: Path) -> Path:
 
 
 WEIGHTS = ROOT / "sphericalvision/models/weights"
-STUDY, STAGES = WEIGHTS / "study", WEIGHTS / "stages"
+STUDY = WEIGHTS / "study"
 """Weights that only the study and the benchmark need, or a training that goes on, and their cards: not in the wheel."""
 
 
@@ -70,7 +70,7 @@ def wheel(wheel_file: Path) -> set[str]:
 def test_wheel_is_light(wheel_file: Path, wheel: set[str]) -> None:
     assert wheel_file.stat().st_size < 12e6
     assert list(STUDY.glob("*.safetensors"))
-    assert not [name for name in wheel if "-study." in name or "/stages/" in name]
+    assert not [name for name in wheel if "-study." in name]
 
 
 def in_wheel(path: Path) -> str:
@@ -95,9 +95,7 @@ def in_wheel(path: Path) -> str:
     ],
 )
 def test_wheel_holds_every_file_of_the_tree(wheel: set[str], folder: str, pattern: str) -> None:
-    expected = {
-        in_wheel(path) for path in (ROOT / folder).glob(pattern) if path.parent not in (STUDY, STAGES)
-    }
+    expected = {in_wheel(path) for path in (ROOT / folder).glob(pattern) if path.parent != STUDY}
     assert expected, f"no {pattern} in {folder}"
     missing = sorted(expected - wheel)
     assert not missing, f"add their folder to [tool.setuptools] packages or package-data: {missing}"

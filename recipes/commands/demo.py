@@ -71,7 +71,7 @@ def demo(config: DemoConfig, folder: Path) -> Table:
     for name, image in frame["images"].items():
         write_image(folder / f"input_{name}.png", image)
     with console.status(f"estimating depth: level {net.level}, {net.num_hypotheses} hypotheses"):
-        sample = ToSphere(net.level, antialias=True)(frame)
+        sample = ToSphere(net.image_level, net.level - 2, antialias=True)(frame)
         panoramas = Panoramas(Predictor(rig, net, min_depth=net.min_depth)(frame["images"]), config.height)
         save_frame(folder, "", panoramas, Settings(["depth", "cloud", "npz"], config.height))
         _save_comparison(folder, frame, panoramas, net)

@@ -15,16 +15,18 @@ HINT_REACH = 4.0
 """Hypotheses of distance from a hint beyond which the penalty stays the same, as the hint may be wrong."""
 HINT_STRENGTH = 3.0
 """Fall of a logit for each hypothesis of distance from a hint of weight 1, before training."""
-HINT_CLUES = 6
-"""Channels of ``HintGate.clues``."""
-SURE = 0.9
+SURE = 0.98
 """Probability around the best hypothesis above which a vertex is sure enough to judge a hint."""
-DISTRUST, TRUST = 0.7, 0.85
+DISTRUST, TRUST = 0.75, 0.9
 """Agreement with sure vertices at which the trust in a hint begins to rise from 0, and at which it reaches 1."""
 BENEFIT_OF_DOUBT = 0.01
 """Agreement granted beforehand, as a share of the directions: where nothing is sure, a hint is trusted."""
-DOUBT_SLOPE, DOUBTFUL_COST = 20.0, 0.7
-"""The granted share is halved where a hint costs 0.7 of the mean over all depths, and falls with this slope."""
+DOUBT_SLOPE, DOUBTFUL_COST = 20.0, 0.8
+"""The granted share is halved where a hint costs 0.8 of the mean over all depths, and falls with this slope.
+
+These five were chosen among 135 settings on 33 rendered captures of five kinds of scenes: all right hints, 5 to 10 %
+off or sparse, are trusted, and of wrong ones 9 % of those that are another scene's depth, 1.4 times as near or turned.
+"""
 
 
 class SweepClues(NamedTuple):
@@ -67,7 +69,8 @@ class HintGate(nn.Module):
     """Trust in a hint of depth, and the penalty of hypotheses far from it.
 
     The trust is one number, from the agreement of the hint with the images where these are sure. The penalty is learned
-    at each vertex from features of the fusion; before training it is the same at all vertices.
+    at each vertex from features of the fusion, which know nothing of the hint; before training it is the same at all
+    vertices. A hint that is not trusted changes nothing.
 
     Args:
         width: channels of the fusion's features.
@@ -75,28 +78,15 @@ class HintGate(nn.Module):
 
     def __init__(self, width: int) -> None:
         super().__init__()
-        self.entry = nn.Conv1d(HINT_CLUES, width, 1, bias=False)
         self.exit = nn.Conv1d(width, 1, 1)
         with torch.no_grad():
             for values in self.parameters():
                 values.zero_()
 
     @staticmethod
-    def clues(
-        clues: SweepClues, prior: Float[Tensor, "B M V"], start: Float[Tensor, "B V"], hint: HintedIndex
-    ) -> Float[Tensor, "B six V"]:
-        """Return inputs that speak for or against a hint ``(B, 6, V)``; 0 where there is none."""
-        # One look-up of all three, as ``at_index`` is two gathers.
-        together = torch.cat((clues.cost, clues.best, prior))
-        cost, best, likely = at_index(together, hint.index.repeat(3, 1)).chunk(3)
-        difference = ((hint.index - start) / 4).clamp(-2, 2)
-        values = (torch.ones_like(cost), difference, cost, clues.cost.mean(1), best, likely / 4)
-        return torch.stack(values, 1) * hint.weight[:, None]
-
-    @staticmethod
     def trust(
         hint: HintedIndex,
-        hint_clues: Float[Tensor, "B six V"],
+        cost: Float[Tensor, "B M V"],
         logits: Float[Tensor, "B M V"],
         compared: Bool[Tensor, "B V"],
     ) -> Float[Tensor, "B one"]:
@@ -113,7 +103,10 @@ class HintGate(nn.Module):
         sure = ((logits.softmax(1) * close).sum(1) - SURE).clamp(min=0) / (1 - SURE)
         # Without sure vertices there is nothing to agree with. Costs still tell: a hint of another scene costs as much
         # as any depth, a right one clearly less.
-        of_hint, of_any = (hint_clues[:, 2:4] * compared[:, None]).sum(-1).unbind(1)
+        counted = hint.weight * compared
+        of_hint, of_any = (
+            (values * counted).sum(-1) for values in (at_index(cost, hint.index), cost.mean(1))
+        )
         cheap = (DOUBT_SLOPE * (DOUBTFUL_COST - of_hint / of_any.clamp(min=1e-6))).sigmoid()
         score = agreement(hint, best, sure * compared, count, BENEFIT_OF_DOUBT * cheap)
         return ((score - DISTRUST) / (TRUST - DISTRUST)).clamp(0, 1)[:, None]

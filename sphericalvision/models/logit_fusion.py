@@ -119,9 +119,6 @@ class LogitFusion(nn.Module):
         prior_clue = prior[:, ::2].clamp(min=PRIOR_FLOOR) / 4
         entries = (clues.cost, clues.best, clues.mean, prior_clue, camera_clue(clues.cameras), color)
         values = self.entry(torch.cat((*entries, torch.stack(numbers, 1)), 1))
-        if hint is not None:
-            hint_clues = self.hint_gate.clues(clues, prior, start, hint)
-            values = values + self.hint_gate.entry(hint_clues)
         values = self.unet(values)
         residual, gates, state = self.exit(values).split(self.sizes, 1)
         cost_weight, prior_weight = self._weights(gates)
@@ -129,7 +126,7 @@ class LogitFusion(nn.Module):
         if hint is None:
             return FusedLogits(logits, state)
         # The images judge the hint: by logits before it enters them, and only where two cameras see the point.
-        trust = self.hint_gate.trust(hint, hint_clues, logits.detach(), clues.cameras.amax(1) >= 2)
+        trust = self.hint_gate.trust(hint, clues.cost, logits.detach(), clues.cameras.amax(1) >= 2)
         penalty = self.hint_gate.penalty(hint.trusted(trust), values, self.sizes[0])
         return FusedLogits(logits - penalty, state, trust)
 

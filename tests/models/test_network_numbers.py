@@ -68,9 +68,9 @@ NUMBERS = """
 predicted(IcoSweepNet(3, 6, feature_channels=4, num_cameras=3)) -> -1.5948
 predicted(IcoSweepNet(3, 6, 0.4, 4, 3, norm="instance", aggregation="variance", feature_coarsening=1)) -> -0.7811
 loss_of(IcoSweepNet(3, 6, feature_channels=4, num_cameras=3, shuffle_cameras=False)) -> 0.3517
-predicted(refined()), predicted(refined(), hint=HINT) -> -12.5971
-predicted(refined(details=True)) -> -7.0792
-loss_of(refined()) -> 3.6243
+predicted(refined()), predicted(refined(), hint=HINT) -> -3.5320
+predicted(refined(details=True)) -> -3.7850
+loss_of(refined()) -> 3.1547
 predicted(OmniMVS(8, 0.5, 2, 3, (8, 32), num_scales=2), PICTURES, None) -> -10.4507
 predicted(OmniMVS(8, 0.5, 2, 3, (8, 32), norm="instance", circular=True, num_scales=2), PICTURES, None) -> -9.2074
 predicted(SemiGlobalSweep(3, 8, 0.4)) -> 3.4664

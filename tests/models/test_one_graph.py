@@ -47,7 +47,7 @@ def sample(net: DepthNetwork, batch: int = 1) -> tuple[torch.Tensor, Any]:
     """Images and tables of a rig for a network."""
     rig = ring_rig(net.num_cameras if not net.any_cameras else 4, image_size=(32, 32))
     if net.images == "sphere":
-        shape: tuple[int, ...] = (3, num_icosphere_vertices(net.level))
+        shape: tuple[int, ...] = (3, num_icosphere_vertices(net.image_level))
     else:
         shape = (net.image_channels[0], 32, 32)
     images = torch.rand(batch, len(rig), *shape, generator=torch.Generator().manual_seed(0))
@@ -55,8 +55,8 @@ def sample(net: DepthNetwork, batch: int = 1) -> tuple[torch.Tensor, Any]:
 
 
 SHIPPED: dict[str, tuple[Callable[[], DepthNetwork], int]] = {
-    "refinedsweepnet": (pretrained, 1683),
-    "refinedsweepnet, level 5": (lambda: pretrained().at_level(5), 1427),
+    "refinedsweepnet": (pretrained, 1782),
+    "refinedsweepnet, level 5": (lambda: pretrained().at_level(5), 1526),
     "icosweepnet-small": (lambda: pretrained("icosweepnet-small"), 411),
     "the paper's": (lambda: IcoSweepNet(4, 32, feature_channels=4), 464),
     "omnimvs": (lambda: OmniMVS(8, feature_channels=2, output_size=(16, 64)), 156),

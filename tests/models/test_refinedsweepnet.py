@@ -26,7 +26,7 @@ from sphericalvision.models.candidate_refinement import (
     finer_logits,
 )
 from sphericalvision.models.hexunet import HexUNet
-from sphericalvision.models.hint_gate import HintedIndex, HintGate, SweepClues, agreement
+from sphericalvision.models.hint_gate import HintedIndex, HintGate, agreement
 from sphericalvision.models.logit_fusion import FusedLogits
 from sphericalvision.models.refinedsweepnet import (
     ENTROPY_SHARE,
@@ -497,23 +497,28 @@ def test_a_finer_level_begins_near_the_chosen_index_and_forbids_nothing():
 
 def test_a_hint_is_compared_where_two_cameras_look_and_near_things_roughly():
     answer, ones = torch.linspace(0, 15, 400)[None], torch.ones(1, 400)
-    hint, compared = HintedIndex(answer + 1.4, ones), answer < 5
+    hint, compared = HintedIndex((answer + 1.4).clamp(max=15), ones), answer < 5
     assert agreement(hint, answer, 1.0 * (answer > 8), 31).item() == pytest.approx(1, abs=0.1)
     assert agreement(hint, answer, 1.0 * compared, 31).item() < 0.1
-    clues = torch.ones(1, 6, 400)
-    clues[:, 2] = torch.where(compared, 0.2, 9.0)  # costs of the hint, below and above those of any depth
+    around = (torch.arange(31)[:, None] / 2 - hint.index[:, None]).abs() < 1
+    cost = torch.where(around, torch.where(compared, 0.2, 9.0)[:, None], 1.0)  # of any other depth 1
     for here, trust in ((compared, 1.0), (~compared, 0.0)):
-        assert HintGate.trust(hint, clues, torch.zeros(1, 31, 400), here).item() == trust
+        assert HintGate.trust(hint, cost, torch.zeros(1, 31, 400), here).item() == trust
 
 
-def test_clues_of_a_hint_and_its_penalty_by_hand():
+def test_a_hint_that_is_not_trusted_changes_nothing(net, frame, monkeypatch):
+    images, rig, seen, true = frame
+    hint = DepthHint(torch.full_like(true, 0.3), torch.ones_like(true))
+    monkeypatch.setattr(HintGate, "trust", lambda *_: torch.ones(1, 1))
+    expected = net.predict(images, rig, seen)
+    assert not torch.equal(net.predict(images, rig, seen, hint).index, expected.index)
+    monkeypatch.setattr(HintGate, "trust", lambda *_: torch.zeros(1, 1))
+    torch.testing.assert_close(net.predict(images, rig, seen, hint), expected, rtol=0, atol=0)
+
+
+def test_the_penalty_of_a_hint_by_hand():
     """At 1.25 between two tried hypotheses; what is more than four hypotheses away is as far as any."""
-    cost, best, prior = (torch.arange(21.0).view(1, 21, 1) * factor for factor in (2.0, 10.0, -4.0))
-    sweep = SweepClues(cost, best, best[:, ::2], torch.full((1, 4, 1), 3.0), prior[:, ::2])
     hint = HintedIndex(torch.tensor([[1.25]]), torch.tensor([[0.5]]))
-    clues = HintGate.clues(sweep, prior, torch.tensor([[3.25]]), hint)
-    assert clues.flatten().tolist() == [0.5 * clue for clue in (1, -0.5, 5, 20, 25, -2.5)]
-    assert HintGate.clues(sweep, prior, torch.tensor([[10.0]]), hint)[0, 1, 0] == -1.0  # and no farther
     penalty = HintGate(3).penalty(hint, torch.rand(1, 3, 1), 21)[0, :, 0]
     torch.testing.assert_close(penalty, 1.5 * (torch.arange(21) / 2 - 1.25).abs().clamp(max=4))
 
@@ -545,7 +550,7 @@ def test_a_hint_helps_and_one_that_contradicts_the_images_hardly_harms():
         pretrained().at_level(5).eval(),
         ring_rig(4, image_size=(160, 160), field_of_view=2.4),
     )
-    scene, to_sphere = make_scene("plain", seed=3), ToSphere(5)
+    scene, to_sphere = make_scene("plain", seed=4), ToSphere(5)
     images, seen = to_sphere.images(render_rig(scene, rig, 1), rig)[None], to_sphere.seen(rig)[None]
     inverse_depth = ray_depth(scene, rig.center, Icosphere(5).vertices).reciprocal()[None]
     true = index_from_depth(inverse_depth.reciprocal(), net.num_hypotheses, net.min_depth)

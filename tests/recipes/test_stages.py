@@ -26,7 +26,7 @@ from tests.recipes.conftest import run_recipe
 from tests.recipes.test_batches import module_of
 from tests.recipes.tiny import Run, composed
 
-STAGES = ("prior", "coarse", "fusion", "finer", "longer", "further", "hints")
+STAGES = ("prior", "coarse", "fusion", "finer", "longer", "further", "sharper", "hints")
 LAST = STAGES[3:]
 SMALL = """
 # @package _global_
@@ -58,7 +58,7 @@ def write_experiments(folder: Path) -> None:
         text = SMALL.format(stage=stage)
         if stage != "prior":
             text = text.replace("{level: 4, feature_channels: 4}", SIZES)
-        if stage in ("finer", "longer", "further"):  # two steps of the refinement
+        if stage in ("finer", "longer", "further", "sharper"):  # two steps of the refinement
             text = text.replace(
                 "    4: {", "    7: {times: 0}\n    5: {seeds: [200, 1], times: 1, batch_size: 1}\n    4: {"
             )

@@ -87,7 +87,7 @@ def scene_images(
     """The rig, its photographs, and these on the network's icosphere, ``(1, 4, 3, V)``."""
     net, rig, _ = shipped()
     pictures = render_rig(make_scene(kind, 10_100_000 + seed), rig)
-    return rig, pictures, ToSphere(net.level).images(pictures, rig)[None]
+    return rig, pictures, ToSphere(net.image_level).images(pictures, rig)[None]
 
 
 @functools.cache

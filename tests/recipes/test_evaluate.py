@@ -200,7 +200,7 @@ def test_the_command_evaluates_as_predict_predicts(run: Run, failing: Run, tmp_p
         name: json.loads((tmp_path / name / "metrics.json").read_text())["icosweepnet-small"]
         for name in ("plain", "used", "scene")
     }
-    assert errors["used"]["MAE"] == pytest.approx(errors["plain"]["MAE"], rel=0.05)
+    assert errors["used"]["MAE"] == pytest.approx(errors["plain"]["MAE"], rel=0.15)
     assert 0 < errors["scene"]["kept"] < 100
     assert errors["scene"]["MAE"] != errors["plain"]["MAE"]
     message = failing("evaluate", *words, "min_confidence=1.0", "output=none")

@@ -119,9 +119,8 @@ def geometry() -> str:
 def probabilities() -> str:
     """What sweep, prior and their fusion say at a textured, a bare and an edge vertex of one scene."""
     net, rig, tables = shipped()
-    images = scene_images("room", 11)[2]
     with torch.inference_mode():
-        seen = tables.sweep.seen[None]
+        images, seen = net.views(scene_images("room", 11)[2], tables.seen)[0]
         clues = net.clues(images, tables, seen)
         fused = net.fuse(clues, images, seen, tables.offsets)
     scene = make_scene("room", 10_100_011)

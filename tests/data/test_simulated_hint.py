@@ -62,6 +62,17 @@ def test_a_seed_is_the_hints_that_it_was():
     assert weighted_sum(hint.inverse_depth, hint.weight) == pytest.approx(-32.0073, abs=0.02)
 
 
+def test_cameras_may_see_a_finer_icosphere():
+    truth, valid, _, hint = hints(seed=1)
+    fine = seen_in_view(ring_rig(3, field_of_view=2.0), LEVEL + 1).expand(BATCH, -1, -1)
+    generator = torch.Generator().manual_seed(1)
+    for size in ((BATCH, 1), (BATCH, VERTICES), (BATCH, VERTICES)):  # what the truth was drawn with
+        torch.rand(size, generator=generator)
+    finer = simulated_hint(truth, valid, fine, generator)
+    assert torch.equal(finer.weight, hint.weight)
+    assert torch.equal(finer.inverse_depth, hint.inverse_depth)
+
+
 def test_the_generator_alone_decides():
     (one, other), third = (hints(seed=1)[3] for _ in range(2)), hints(seed=2)[3]
     assert torch.equal(one.weight, other.weight)

@@ -12,7 +12,7 @@ from torch import Tensor
 from sphericalvision.data.augmentation.fivefold import rotate_fivefold
 from sphericalvision.icosphere import icosphere_upsample, level_from_num_vertices, num_icosphere_vertices
 from sphericalvision.sweep import DepthHint
-from sphericalvision.sweep.ring_mean import ring_mean
+from sphericalvision.sweep.ring_mean import ids_of_coarser_level, ring_mean
 
 NONSENSE, SPARSE, SINGLE, HOLED = 0.25, 0.3, 0.3, 0.5
 """Shares of the hints: of another scene; of single points; of one camera alone; with holes."""
@@ -29,7 +29,7 @@ COARSE = 3
 def simulated_hint(
     inverse_depth: Float[Tensor, "B V"],
     valid: Bool[Tensor, "B V"],
-    seen: Bool[Tensor, "B n V"] | None = None,
+    seen: Bool[Tensor, "B n V_image"] | None = None,
     generator: torch.Generator | None = None,
     share: float = 0.35,
 ) -> DepthHint:
@@ -44,7 +44,8 @@ def simulated_hint(
     Args:
         inverse_depth: ``(B, V)`` true, in 1/m, on an icosphere.
         valid: ``(B, V)`` where that is known.
-        seen: ``(B, n, V)`` what each camera sees, on the same icosphere; without it there is one view of all.
+        seen: ``(B, n, V_image)`` what each camera sees, on the same icosphere or a finer one; without it there is one
+            view of all.
         generator: of the values' device.
         share: of the samples that have a hint.
 
@@ -82,7 +83,10 @@ def simulated_hint(
     has_depth = turned[1].where(nonsense, valid)
     values = values.where(has_depth, 0.0)
 
-    cameras = inverse_depth.new_ones(batch, 1, values.shape[-1]) if seen is None else seen.to(values)
+    cameras = inverse_depth.new_ones(batch, 1, values.shape[-1])
+    if seen is not None:
+        ids = ids_of_coarser_level(level_from_num_vertices(seen.shape[-1]), level, device)
+        cameras = seen[..., ids].to(values)
     # In each direction the camera with the largest random number among those that see it gives the depth.
     order = cameras * (uniform(cameras.shape[1], 1) + 0.01)
     greatest, view = order.max(1)

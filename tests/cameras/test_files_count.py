@@ -21,7 +21,6 @@ from sphericalvision.cameras import (
     read_trajectory,
     save_rig,
 )
-from sphericalvision.cameras.calibration.keys import with_keys
 from sphericalvision.core import FileFormatError
 from tests.cameras.calibration_samples import TEXTS, dump, put, sample
 from tests.cameras.test_format_rigs import VINS
@@ -165,13 +164,3 @@ def test_poses_of_vins_that_are_a_first_guess_are_told(tmp_path: Path) -> None:
         dump(tmp_path / name, content | {"estimate_extrinsic": 2} if name == "estimator.yaml" else content)
     with pytest.warns(UserWarning, match="estimate_extrinsic: 2"):
         read_rig(tmp_path / "estimator.yaml")
-
-
-def test_keys_of_a_frame_count_before_those_of_the_file() -> None:
-    content = with_keys({"fl_x": 1.0, "w": 64, "frame": {"fl_x": 2.0}}, "file")
-    merged = content.inner("frame").over(content)
-    assert (merged["fl_x"], merged["w"]) == (2.0, 64)
-    assert "w" in merged
-    assert "h" not in merged
-    assert "w" in content.read
-    assert "fl_x" not in content.read

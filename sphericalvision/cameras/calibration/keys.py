@@ -71,20 +71,13 @@ class Keys(dict[Any, Any]):
         self.where = where
         self.read: set[Any] = set()
         self.missed: set[str] = set()
-        self.layers: tuple[Keys, ...] = ()
-        """Mappings that these stand for, the first one that has a key counts."""
 
     def __getitem__(self, key: Any) -> Any:
-        for layer in self.layers:
-            if key in layer:
-                return layer[key]
         value = super().__getitem__(key)
         self.read.add(key)
         return value
 
     def __contains__(self, key: Any) -> bool:
-        if self.layers:
-            return any(key in layer for layer in self.layers)
         exists = super().__contains__(key)
         if not exists:
             self.missed.add(str(key))
@@ -94,14 +87,6 @@ class Keys(dict[Any, Any]):
         """Take no notice of what was asked for so far."""
         self.read.clear()
         self.missed.clear()
-
-    def over(self, below: Keys) -> Keys:
-        """These keys, and behind them those of another mapping; at the place of these."""
-        merged = Keys(self.where)
-        merged.update(below)
-        merged.update(self)
-        merged.layers = (self, below)
-        return merged
 
     def at(self, *keys: str) -> str:
         """Where keys stand, in errors."""

@@ -83,11 +83,12 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     calibration, missing = Gathered(options), []
     for frame, has_own in zip(frames, own, strict=True):
         name = view_name(frame.entry("file_path"))
-        if differing := sorted(key for key in _OWN & set(frame) & set(content) if frame[key] != content[key]):
-            raise FileFormatError(  # instant-ngp takes the frame's, nerfstudio the others
-                f"{frame.at(*differing)}: expected what the file says for all frames; keep the right ones"
-            )
-        camera = shared if shared and not has_own else _camera(frame.over(content), options)
+        for key in sorted(_OWN & set(content)) if has_own else ():
+            if frame.setdefault(key, content[key]) != content[key]:
+                raise FileFormatError(  # instant-ngp takes the frame's, nerfstudio the other
+                    f"{frame.at(key)}: expected what the file says for all frames; keep the right one"
+                )
+        camera = shared if shared and not has_own else _camera(frame, options)
         calibration.add(name, camera, frame.where, frame.pose("transform_matrix") @ OPENGL_FROM_OPENCV)
         if mask := frame.get("mask_path"):
             file = path.parent / str(mask)

@@ -157,8 +157,6 @@ undistorted_camera(camera(), 1.0, 40.0) -> field_of_view, focal_length, balance:
 undistorted_camera(camera(), balance=1.5) -> balance: Argument
 undistorted_camera(camera(), 3.5) -> field_of_view: Argument
 undistorted_camera(camera(), focal_length=-3.0) -> focal_length: Argument
-perspective_views(torch.rand(3, 32, 64), [(90, 0, 0)]) -> views: Argument
-perspective_views(torch.rand(3, 32, 64), [(0, 0, 0)], 3.2) -> field_of_view: Argument
 convert(camera(), to='fishy') -> to: Argument
 convert(camera(), to=int) -> to: Argument
 convert(camera(), to=1) -> to: Argument
@@ -349,6 +347,9 @@ nested_from_ring(torch.ones(2).bool(), 4) -> ids: Argument
 views(torch.zeros(3, 24, 48)).merge(quantity='range') -> quantity: Argument
 views(torch.zeros(1, 24, 48)).merge(quantity='depth') -> quantity: Argument
 views(torch.zeros(1, 24, 48), layout='dodecahedron') -> layout: Argument
+views(torch.zeros(1, 24, 48), layout=[(90, 0, 0)]) -> layout: Argument
+views(torch.zeros(1, 24, 48), layout=[(0.0, 0.0)]) -> layout: Shape
+views(torch.zeros(1, 24, 48), field_of_view=3.2) -> field_of_view: Argument
 Views([torch.zeros(3, 24, 24)] * 2, rig()) -> images: Argument
 Views.of_pairs(rectified_pairs(rig()), [torch.zeros(24, 24)]) -> disparities: Argument
 Views([torch.zeros(1, 24, 24)] * 4, rig()).merge(center=rig().center) -> center: Argument

@@ -197,14 +197,14 @@ MISTAKES: dict[str, tuple[Callable[[Tensor], Any], type[Exception], str]] = {
     "an array of numpy": (
         Tensor.numpy,
         ArgumentTypeError,
-        """CameraRig.2 coverage.1 sample_sphere.1 perspective_views.1 rotation_from_yaw_pitch_roll.0 Cubemap.1
+        """CameraRig.2 coverage.1 sample_sphere.1 rotation_from_yaw_pitch_roll.0 Cubemap.1
         Equirectangular.1 from_subdivision_order.0 to_subdivision_order.0 healpix_pool.0 healpix_upsample.0
         cube_from_layout.0 DepthHint.0 DepthHint.1 collate_samples.0""",
     ),
     "numbers of another type": (
         lambda x: x.long() if x.is_floating_point() else x.float(),
         ArgumentError,
-        """CameraRig.2 sample_sphere.0 perspective_views.1 rotation_from_yaw_pitch_roll.0 Crown.0 to_crown.0 ToCrown.0
+        """CameraRig.2 sample_sphere.0 rotation_from_yaw_pitch_roll.0 Crown.0 to_crown.0 ToCrown.0
         crown_relu.0 CrownAvgPool2d.0 CrownMaxPool2d.0 crown_avg_pool2d.0 crown_max_pool2d.0 from_subdivision_order.0
         to_subdivision_order.0 icosphere_normals.0 icosphere_pool.1 depth_index_huber.2 solid_angle_mean.2 depth_error.2
         depth_index_error.2 stereo_error.2 DepthNetwork.0 TangentImages.1 healpix_pool.0 healpix_upsample.0 CubePad2d.0

@@ -14,12 +14,11 @@ from sphericalvision.cameras import (
     EquirectangularCamera,
     FisheyeCamera,
     PinholeCamera,
-    perspective_views,
     remap,
 )
 from sphericalvision.scenes import make_scene, ray_depth, render_camera
 from sphericalvision.scenes.registry import scene_kinds
-from sphericalvision.sphere import Equirectangular, resample
+from sphericalvision.sphere import Equirectangular, resample, views
 from sphericalvision.viz import depth_to_color
 from sphericalvision.viz.color import depth_ticks
 
@@ -42,10 +41,9 @@ def panorama_views() -> str:
     lens = FisheyeCamera.from_field_of_view((240, 240), math.radians(200))
     axes = bare_axes(figure, (0.66, 0.4, 0.33, 0.55), "a 200° fisheye")
     axes.imshow(resample(picture, panorama, lens).movedim(0, -1).clamp(0, 1))
-    views = [(math.radians(yaw), 0.0, 0.0) for yaw in YAWS]
-    for k, image in enumerate(
-        perspective_views(picture, views, math.radians(75), (160, 200))
-    ):
+    layout = [(math.radians(yaw), 0.0, 0.0) for yaw in YAWS]
+    cut = views(picture, None, layout, math.radians(75), (160, 200))
+    for k, image in enumerate(cut.images):
         axes = bare_axes(figure, (0.25 * k, 0.0, 0.243, 0.33))
         axes.set_title(f"pinhole, {YAWS[k]}° to the right", fontsize=9)
         axes.imshow(image.movedim(0, -1).clamp(0, 1))

@@ -66,8 +66,6 @@ from .models.unified import UnifiedCamera as UnifiedCamera
 from .models.unified import project_unified as project_unified
 from .models.unified import unproject_unified as unproject_unified
 from .registry import register_camera as register_camera
-from .remapping.pinhole_views import perspective_views as perspective_views
-from .remapping.pinhole_views import rotation_from_yaw_pitch_roll as rotation_from_yaw_pitch_roll
 from .remapping.rectify import RectifiedPair as RectifiedPair
 from .remapping.rectify import rectified_pairs as rectified_pairs
 from .remapping.remap import Remap as Remap
@@ -75,6 +73,7 @@ from .remapping.remap import remap as remap
 from .remapping.remap import remap_mask as remap_mask
 from .remapping.undistort import undistort as undistort
 from .remapping.undistort import undistorted_camera as undistorted_camera
+from .remapping.yaw_pitch_roll import rotation_from_yaw_pitch_roll as rotation_from_yaw_pitch_roll
 from .rig import CameraRig as CameraRig
 from .rig import ring_rig as ring_rig
 from .sphere_images import sample_sphere as sample_sphere

@@ -137,7 +137,6 @@ remap(rand(1, 16, 32), WIDE, NARROW, None, "bicubic") -> -0.4719
 remap(IMAGES["a"], A, WIDE, TURN[:3, :3], "nearest", 0.7) -> -4.8574
 remap(rand(1, 16, 32), WIDE, NARROW, None, "nearest") -> -0.2951
 remap(DEEP[None], A, WIDE, TURN[:3, :3], "depth", 0.7, MASK[0]) -> -12.5735
-perspective_views(rand(1, 20, 40), 2 * rand(3, 3) - 1, (1.2, 0.9), (8, 11)) -> 0.4319
 compare_cameras(LENSES["equidistant"], LENSES["equisolid"]), compare_cameras(A, B, [0.0, 0.7]) -> -6.0261
 converted("equisolid", "kannala_brandt"), converted("equisolid", "kannala_brandt", num_coefficients=2) -> -3.6967
 converted("stereographic", "double_sphere", max_angle=1.2) -> -1.0650

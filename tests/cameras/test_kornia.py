@@ -17,9 +17,7 @@ from sphericalvision.cameras import (
     PinholeCamera,
     depth_from_z,
     from_kornia,
-    perspective_views,
     points_from_depth,
-    remap,
     to_kornia,
 )
 from sphericalvision.capture import refine
@@ -112,26 +110,3 @@ def test_points_from_depth_are_kornias_for_a_pinhole() -> None:
     assert not points_from_depth(
         torch.tensor([[math.inf, 0.0, -1.0, math.nan]]), EquirectangularCamera((1, 4))
     )[1].any()
-
-
-def test_views_look_where_they_are_told() -> None:
-    """A panorama of directions: each view's middle shows its own, and the axes are right, down and forward."""
-    source = EquirectangularCamera((180, 360))
-    panorama = source.unproject(source.pixel_grid()).directions.movedim(-1, 0)
-    angles = [(0.0, 0.0, 0.0), (math.pi / 2, 0.0, 0.0), (0.3, -0.4, 0.0), (0.3, -0.4, math.pi / 2)]
-    views = perspective_views(panorama, angles, 1.0, (41, 41))
-    assert views.shape == (4, 3, 41, 41)
-    for view, (yaw, pitch, _) in zip(views, angles, strict=True):
-        expected = [math.sin(yaw) * math.cos(pitch), -math.sin(pitch), math.cos(yaw) * math.cos(pitch)]
-        torch.testing.assert_close(view[:, 20, 20], torch.tensor(expected), atol=1e-3, rtol=0)
-    upright, rolled = views[2], views[3]  # clockwise from behind: what was right is now up
-    torch.testing.assert_close(rolled[:, 20, 40], upright[:, 40, 20], atol=2e-3, rtol=0)
-    assert (views[0][1, -1, 20] > 0) & (views[0][0, 20, -1] > 0)
-    batch = perspective_views(panorama.expand(2, -1, -1, -1), angles, 1.0, (41, 41))
-    torch.testing.assert_close(batch[1], views)
-    lens = PinholeCamera.from_field_of_view((41, 41), 1.0)
-    torch.testing.assert_close(views[0], remap(panorama, source, lens))
-    wide = perspective_views(panorama, angles, (1.2, 0.8), (41, 61))[0]
-    across, down = (torch.atan2(wide[axis], wide[2]) for axis in (0, 1))
-    assert across[20, -1].item() == pytest.approx(math.atan(60 / 61 * math.tan(0.6)), abs=2e-3)
-    assert down[-1, 30].item() == pytest.approx(math.atan(40 / 41 * math.tan(0.4)), abs=2e-3)

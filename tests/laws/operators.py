@@ -204,7 +204,6 @@ CALLS: dict[str, Callable[[], Any]] = {
     "sample_sphere": lambda: cameras.sample_sphere(rig(), [m(3, 24, 24)] * 4, m(5, 3)),
     "undistort": lambda: cameras.undistort(m(3, *SIZE), camera(), 1.5),
     "undistorted_camera": lambda: cameras.undistorted_camera(camera(), 1.5).focal_length,
-    "perspective_views": lambda: cameras.perspective_views(m(3, 16, 32), m(2, 3), image_size=(8, 8)),
     "rotation_from_yaw_pitch_roll": lambda: cameras.rotation_from_yaw_pitch_roll(m(2, 3)),
     # crown
     "Crown": flat,

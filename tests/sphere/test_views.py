@@ -17,7 +17,6 @@ from sphericalvision.cameras import (
     FisheyeCamera,
     PinholeCamera,
     RectifiedPair,
-    perspective_views,
     rectified_pairs,
     remap,
     ring_rig,
@@ -189,8 +188,8 @@ def test_photographs_of_a_rig_merge_into_the_panorama_that_they_show() -> None:
     assert whole.valid.all()
     torch.testing.assert_close(whole.values, panorama, atol=0.02, rtol=0)
     cut = views(images, rig, [(1.5, 0.2, 0.1)], 1.0, (30, 30))
-    direct = perspective_views(panorama, [(1.5, 0.2, 0.1)], 1.0, (30, 30))
-    torch.testing.assert_close(cut.images[0], direct[0], atol=0.02, rtol=0)
+    direct = views(panorama, None, [(1.5, 0.2, 0.1)], 1.0, (30, 30))
+    torch.testing.assert_close(cut.images[0], direct.images[0], atol=0.02, rtol=0)
     assert repr(Views(images, rig).target) == repr(cut.target)
     alone = views(images["front"], fisheye, "cube", image_size=(20, 20))
     assert set(alone.rig.masks) == {"cam2", "cam3", "cam4", "cam5", "cam6"}  # all but the view ahead
@@ -199,6 +198,28 @@ def test_photographs_of_a_rig_merge_into_the_panorama_that_they_show() -> None:
     for mode, whole_steps in (("nearest", True), ("bilinear", False)):
         shown = views(steps, front, [(0.0, 0.0, 0.0)], 1.0, (30, 30), mode=mode).images[0]
         assert torch.equal(shown, shown.round()) == whole_steps
+
+
+def test_views_look_where_they_are_told() -> None:
+    """A panorama of directions: each view's middle shows its own, and the axes are right, down and forward."""
+    source = EquirectangularCamera((180, 360))
+    panorama = pixels(source).movedim(-1, 0)
+    angles = [(0.0, 0.0, 0.0), (math.pi / 2, 0.0, 0.0), (0.3, -0.4, 0.0), (0.3, -0.4, math.pi / 2)]
+    images = views(panorama, None, angles, 1.0, (41, 41)).images
+    for view, (yaw, pitch, _) in zip(images, angles, strict=True):
+        expected = [math.sin(yaw) * math.cos(pitch), -math.sin(pitch), math.cos(yaw) * math.cos(pitch)]
+        torch.testing.assert_close(view[:, 20, 20], torch.tensor(expected), atol=1e-3, rtol=0)
+    upright, rolled = images[2], images[3]  # clockwise from behind: what was right is now up
+    torch.testing.assert_close(rolled[:, 20, 40], upright[:, 40, 20], atol=2e-3, rtol=0)
+    assert (images[0][1, -1, 20] > 0) & (images[0][0, 20, -1] > 0)
+    batch = views(panorama.expand(2, -1, -1, -1), None, angles, 1.0, (41, 41)).images
+    torch.testing.assert_close(batch[3][1], rolled)
+    lens = PinholeCamera.from_field_of_view((41, 41), 1.0)
+    torch.testing.assert_close(images[0], remap(panorama, source, lens))
+    wide = views(panorama, None, angles, (1.2, 0.8), (41, 61)).images[0]
+    across, down = (torch.atan2(wide[axis], wide[2]) for axis in (0, 1))
+    assert across[20, -1].item() == pytest.approx(math.atan(60 / 61 * math.tan(0.6)), abs=2e-3)
+    assert down[-1, 30].item() == pytest.approx(math.atan(40 / 41 * math.tan(0.4)), abs=2e-3)
 
 
 def test_parts_of_panoramas_and_grids_are_cut_too() -> None:

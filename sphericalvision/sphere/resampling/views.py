@@ -15,8 +15,8 @@ from torch import Tensor
 from sphericalvision.cameras import Camera, CameraRig, EquirectangularCamera, PinholeCamera, depth_from_z
 from sphericalvision.cameras.base import check_single
 from sphericalvision.cameras.remapping.lookup import pixels_a_radian
-from sphericalvision.cameras.remapping.pinhole_views import checked_angles, rotation_from_yaw_pitch_roll
 from sphericalvision.cameras.remapping.rectify import RectifiedPair
+from sphericalvision.cameras.remapping.yaw_pitch_roll import rotation_from_yaw_pitch_roll
 from sphericalvision.cameras.sphere_images import images_in_order
 from sphericalvision.core import ArgumentError, ShapeError, check_choice, check_tensor
 from sphericalvision.geometry.directions import holds
@@ -255,7 +255,7 @@ def views(
         source: what took it: camera, grid or rig (seen from its middle as if all were far away). A whole panorama if
             not given.
         layout: ``"cube"``, 6 views; ``"tangent"``, 20 views, one at each face of an icosahedron (75° and more); or
-            yaw, pitch and roll ``(n, 3)`` in radians, as in ``perspective_views``.
+            yaw, pitch and roll ``(n, 3)`` in radians, as in ``rotation_from_yaw_pitch_roll``.
         field_of_view: across the shorter side, or (horizontal, vertical), in radians. What overlaps aligns the views.
         image_size: (height, width); as fine as the source in the middle of a view if not given.
         mode: as in ``resample``.
@@ -321,4 +321,11 @@ def _rotations(layout: str | Tensor | Sequence[Sequence[float]]) -> Tensor:
     if isinstance(layout, str):
         check_choice("layout", layout, ("cube", "tangent"))
         return world_from_cube_face() if layout == "cube" else TangentImages(0, 2).world_from_patch
-    return rotation_from_yaw_pitch_roll(checked_angles("layout", layout)).float()
+    angles = torch.as_tensor(layout, dtype=torch.float64)
+    if angles.ndim != 2 or angles.shape[-1] != 3:
+        raise ShapeError(f"layout: expected (n, 3) as yaw, pitch and roll, got shape {tuple(angles.shape)}")
+    if not holds(angles.abs() <= 2 * math.pi + 1e-3):
+        raise ArgumentError(
+            f"layout: expected radians within ±2π, got {float(angles.abs().max()):g}; are these degrees?"
+        )
+    return rotation_from_yaw_pitch_roll(angles).float()

@@ -116,9 +116,12 @@ def read_bytes(path: Path, most: int = MAX_BYTES) -> bytes:
     """The content of a file.
 
     Raises:
-        FileFormatError: it has more than ``most`` bytes.
+        FileFormatError: it has more than ``most`` bytes, or is a pipe or a device, which may never end.
     """
-    if (size := path.stat().st_size) > most:
+    about = path.stat()
+    if not stat.S_ISREG(about.st_mode):
+        raise FileFormatError(f"{path}: expected a file, got a folder, a pipe or a device")
+    if (size := about.st_size) > most:
         raise FileFormatError(
             f"{path}: has {size:,} bytes, at most {most:,} are read; is it the file you mean?"
         )

@@ -183,6 +183,13 @@ def test_a_file_that_claims_to_be_larger_than_machines_is_refused(
         read(tmp_path / "cameras.bin")
 
 
+def test_what_may_never_end_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/zero")):
+        with pytest.raises(FileFormatError, match=f"{path}: expected a file"):
+            read_text(path)
+
+
 def test_plain_names_stay_and_others_stay_apart() -> None:
     assert part_of_name("cam-1_left.x") == "cam-1_left.x"
     assert part_of_name("a/b") != part_of_name("a_b") != part_of_name("a b")

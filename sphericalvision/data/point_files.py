@@ -6,6 +6,7 @@ from __future__ import annotations
 import io
 import re
 import warnings
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from torch import Tensor
 from sphericalvision.core import FileFormatError, check_file
 from sphericalvision.io.arrays import read_npy
 from sphericalvision.io.comments import FIRST, warn_of_comments
+from sphericalvision.io.files import read_bytes, read_text
 from sphericalvision.io.ply_header import read_ply_header
 
 POINT_SUFFIXES = (".pcd", ".bin", ".ply", ".npy", ".csv", ".xyz")
@@ -91,7 +93,7 @@ def read_points(
     except FileFormatError:
         raise
     except Exception as error:  # numpy and trimesh raise whatever they meet in a damaged file
-        raise FileFormatError(f"{path}: cannot be read as points: {error!r:.200}") from error
+        raise FileFormatError(f"{path}: is damaged, or holds no points ({error!s:.200})") from error
     if points.ndim != 2 or points.shape[1] < 3 or not np.issubdtype(points.dtype, np.number):
         raise FileFormatError(f"{path}: expected points (P, 3), got {points.dtype} {points.shape}")
     if points.shape[1] > MOST_COLUMNS:
@@ -128,8 +130,13 @@ def _whole_numbers(path: Path, dtype: str) -> str:
     )
 
 
+def _check_axes(path: Path, names: Iterable[str]) -> None:
+    if not {*_AXES} <= {*names}:
+        raise FileFormatError(f"{path}: expected points with x, y, z, got {', '.join(names)[:80] or 'none'}")
+
+
 def _pcd(path: Path, ignore_viewpoint: bool) -> Any:
-    content = path.read_bytes()
+    content = read_bytes(path)
     head: dict[str, list[str]] = {}
     at = 0
     while "DATA" not in head:
@@ -151,6 +158,7 @@ def _pcd(path: Path, ignore_viewpoint: bool) -> Any:
             f"{path}: DATA {kind} is not read; pcl_convert_pcd_ascii_binary {path.name} out.pcd 1 writes it as binary"
         )
     counts = [int(word) for word in head.get("COUNT", ["1"] * len(head["FIELDS"]))]
+    _check_axes(path, head["FIELDS"])
     letters = {"F": "f", "I": "i", "U": "u"}
     formats = [f"<{letters[t]}{s}" for t, s in zip(head["TYPE"], head["SIZE"], strict=True)]
     number = int(head["POINTS"][0])
@@ -210,17 +218,18 @@ def _ply(path: Path) -> Any:
     import trimesh  # half a second to import
 
     header = read_ply_header(path)
-    types = {header.properties.get("vertex", {}).get(axis, "float") for axis in _AXES}
+    _check_axes(path, vertex := header.properties.get("vertex", {}))
+    types = {vertex[axis] for axis in _AXES}
     if integers := sorted(name for name in types if not name.startswith(("float", "double"))):
         raise FileFormatError(_whole_numbers(path, integers[0]))
     # Of a file without a name trimesh opens no texture, wherever it may lie, and waits for no pipe.
-    loaded: Any = trimesh.load(io.BytesIO(path.read_bytes()), file_type="ply", process=False)
+    loaded: Any = trimesh.load(io.BytesIO(read_bytes(path)), file_type="ply", process=False)
     header.check_vertices(path, len(loaded.vertices))
     return np.asarray(loaded.vertices)
 
 
 def _text(path: Path) -> Any:
-    lines = [line.strip() for line in path.read_text("utf-8-sig").splitlines() if line.strip()]
+    lines = [line.strip() for line in read_text(path).splitlines() if line.strip()]
     start = next((at for at, line in enumerate(lines) if re.match(r"[-+.\d]|nan", line)), len(lines))
     points = lines[start:]
     if points and points[0].isdigit():  # a count before the points, as in .pts
@@ -243,8 +252,10 @@ def _text(path: Path) -> Any:
 
 def _npy(path: Path) -> Any:
     points = read_npy(path)
-    names = points.dtype.names
-    return points if names is None else np.stack([points[axis] for axis in _AXES], 1)
+    if points.dtype.names is None:
+        return points
+    _check_axes(path, points.dtype.names)
+    return np.stack([points[axis] for axis in _AXES], 1)
 
 
 _READERS = {".ply": _ply, ".npy": _npy, ".csv": _text, ".xyz": _text}

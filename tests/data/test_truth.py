@@ -247,6 +247,8 @@ def test_files_that_hold_no_points_are_refused_by_name(tmp_path: Path) -> None:
     whole = tmp_path / "whole.pcd"
     write_pcd(whole, np.ones((2, 3)), "binary")
     write_pcd(tmp_path / "text.pcd", np.ones((2, 3), int), "ascii")
+    named = tmp_path / "named.npy"
+    np.save(named, np.ones(2, [("x", "f4"), ("y", "f4")]))
     for name, content in {
         "cut.pcd": whole.read_bytes()[:-5],
         "head.pcd": b"VERSION 0.7\n",
@@ -262,10 +264,16 @@ def test_files_that_hold_no_points_are_refused_by_name(tmp_path: Path) -> None:
         "fewer.xyz": b"3\n1 2 3\n",
         "cut.ply": ply("float", 2_000_000_000),
         "millimetres.ply": ply("int", 1),
+        "flat.ply": ply("float", 1).replace(b" z", b" w"),
+        "faces.ply": ply("float", 1).replace(b"vertex", b"face"),
+        "flat.pcd": whole.read_bytes().replace(b" z", b" w"),
+        "named.npy": named.read_bytes(),
+        "utf16.csv": "x,y,z\n1,2,3\n".encode("utf-16-le"),
     }.items():
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(FileFormatError, match=name):
+        with pytest.raises(FileFormatError, match=name) as told:
             read_points(tmp_path / name)
+        assert "Error" not in str(told.value)
 
 
 def test_a_pcd_whose_viewpoint_is_a_pose_is_refused_unless_it_is_known_to_be_applied(tmp_path: Path) -> None:

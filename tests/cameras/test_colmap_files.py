@@ -153,14 +153,15 @@ def test_images_without_rigs_are_a_rig_of_images(tmp_path: Path) -> None:
     dump(tmp_path / "cameras.txt", "7 PINHOLE 320 240 300 300 160 120\n")
     half = 0.5**0.5
     lines = [
-        "# comment",
+        "# Number of images: 3, mean observations per image: 0",
         "1 1 0 0 0 0 0 0 7 left/a b.png",
         *("", "", ""),
         f"2 {half} 0 {-half} 0 0 0 -0.5 7 right/c.png",
         "1 2 -1",
     ]
     dump(tmp_path / "images.txt", "\n".join(lines) + "\n")
-    rig = read_rig(tmp_path, dtype=torch.float64)
+    with pytest.warns(UserWarning, match=r"images\.txt: its head says 3 images, there are 2"):
+        rig = read_rig(tmp_path, dtype=torch.float64)
     assert rig.names == ["left/a b", "right/c"]
     torch.testing.assert_close(rig.axes[1], torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64))
     torch.testing.assert_close(rig.positions[1], torch.tensor([0.5, 0.0, 0.0], dtype=torch.float64))

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 import struct
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -212,7 +213,7 @@ def _text_images(path: Path) -> list[ImageRecord]:
             )
         image, camera = _ids([entries[0], entries[8]], where)
         images.append(ImageRecord(where, image, _pose(entries[1:8], where), camera, entries[9].strip()))
-    return images
+    return _counted(path, images)
 
 
 def rigs_in(path: Path) -> list[RigRecord]:
@@ -226,7 +227,16 @@ def _records(
     """Of a text with one a line, or of a binary file."""
     if path.suffix == ".bin":
         return _Bytes(path).records(of_bytes)
-    return [of_line(words, f"{path}, line {line}") for line, words in data_lines(path)]
+    return _counted(path, [of_line(words, f"{path}, line {line}") for line, words in data_lines(path)])
+
+
+def _counted(path: Path, records: list[Record]) -> list[Record]:
+    """The records of a text, with a warning where its head counts others."""
+    count = re.search(rf"(?m)^# Number of {re.escape(path.stem)}: (\d+)", read_text(path))
+    if count and int(count[1]) != len(records):
+        said = f"{path}: its head says {count[1]} {path.stem}, there are {len(records)}; is it cut short?"
+        warnings.warn(said, stacklevel=6)
+    return records
 
 
 def _text_camera(words: list[str], where: str) -> CameraRecord:

@@ -60,6 +60,9 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     """Cameras and poses of a parsed camchain."""
     names = _names(content)
     chain = [content.inner(name) for name in names]
+    topics = [topic for values in chain if (topic := values.get("rostopic", ""))]
+    if copied := [topic for topic in topics if topics.count(topic) > 1]:
+        raise FileFormatError(f"{path}: two cameras have the rostopic {copied[0]!r:.80}; correct one")
     cameras = [_camera(values) for values in chain]
     calibration, poses = Gathered(options), _poses(chain, names, path)
     for name, values, camera, pose in zip(names, chain, cameras, poses, strict=True):

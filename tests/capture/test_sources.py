@@ -401,6 +401,7 @@ CANDIDATES = {  # what lies in a folder, and what of it is meant; None where tha
     "numbers with and without zeros": (["{camera}/1.png", "{camera}/001.png"], None),
     "one camera's other pictures": (["{camera}/1.jpg", "cam1/1.png"], ".jpg"),
     "numbers in front": (["1_{camera}.png"], "1_"),
+    "names that are no layout": (["{camera}_1.png", "{camera}-1.png"], "_1"),
     "another way to write a suffix": (["{camera}/1.jpg", "cam1/2.JPG"], ".jpg"),
     "pictures next to folders of them": (["{camera}/1.png", "{camera}_1.png"], None),
     "two videos": (["a.mp4", "b.mp4"], None),
@@ -504,10 +505,11 @@ def test_numbers_alone_tell_cameras_where_these_have_all_files(tmp_path: Path, m
         assert list(map(moments_of, frames)) == [{1}, {2}, {3}, {4}]
 
 
-def test_a_link_to_nothing_is_a_frame_that_cannot_be_read(tmp_path: Path) -> None:
+@pytest.mark.parametrize("target", ["nowhere.png", "2.png"])
+def test_a_link_to_nothing_is_a_frame_that_cannot_be_read(tmp_path: Path, target: str) -> None:
     images = as_files_named(tmp_path, ["1", "2"])
     (tmp_path / "cam1/2.png").unlink()
-    (tmp_path / "cam1/2.png").symlink_to("nowhere.png")
+    (tmp_path / "cam1/2.png").symlink_to(target)
     frames = list(open_source(images, RIG).frames(Selection(), lambda _: True))
     assert ["2.png" in str(frame.error) for frame in frames] == [False, True]
 

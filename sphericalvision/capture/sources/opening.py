@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
@@ -164,11 +165,11 @@ def _labelled(source: Source, labels: Mapping[str, str]) -> Source:
 
 def _of_folder(folder: Path, opening: _Opening) -> Source:
     """The one kind of files in a folder that every camera has."""
-    excluded = {path.resolve() for path in opening.leave_out}
+    excluded = {os.path.realpath(path) for path in opening.leave_out}
     files = [
         file
         for file in (*folder.glob("*"), *folder.glob("*/*"), *folder.glob("*/data/*"))
-        if not file.name.startswith(".") and file.is_file() and file.resolve() not in excluded
+        if not file.name.startswith(".") and file.is_file() and os.path.realpath(file) not in excluded
     ]
     previews = {file for file in files if _is_preview(file)}
     for group in (set(files) - previews, previews):
@@ -176,12 +177,14 @@ def _of_folder(folder: Path, opening: _Opening) -> Source:
         if (pattern := _of_files(folder, group, grouped)) is None:
             continue
         source, suffix = grouped.source(pattern), Path(pattern).suffix
-        folders = {file.parent for file in group if file.suffix == suffix}
+        labels = {*opening.rig.names, *getattr(source, "labels", {}).values()}
+        taken = {file for label in labels for file in files_of(pattern, label).values()}
+        folders = {file.parent for file in taken}
         rest = [
             str(file.relative_to(folder))
             for file in sorted(files)
             if file.parent in folders
-            and (file.suffix != suffix or file not in group)
+            and file not in taken
             and file.suffix.lower() in (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES)
         ]
         if rest:
@@ -191,7 +194,8 @@ def _of_folder(folder: Path, opening: _Opening) -> Source:
                 stacklevel=3,
             )
         return source
-    examples = {file.suffix: str(file.relative_to(folder)) for file in sorted(files, reverse=True)}.values()
+    found = sorted(files, reverse=True) or sorted(folder.glob("*/"))
+    examples = {file.suffix or file.name: str(file.relative_to(folder)) for file in found}.values()
     raise MissingFileError(
         f"images: {folder} holds no images or videos of all {len(opening.rig)} cameras "
         f"({', '.join(opening.rig.names)}), called as {', '.join(LAYOUTS)} (videos without {{frame}}), but "

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import string
 import warnings
@@ -52,7 +53,7 @@ def find_files(
         MissingFileError: there are no files, or a requested frame is missing.
     """
     requested = None if frames is None else [_frame_text(pattern, frame) for frame in frames]
-    excluded = {path.resolve() for path in leave_out}
+    excluded = {os.path.realpath(path) for path in leave_out}
     if labels is None:
         labels = find_labels(pattern, names, leave_out=leave_out, key=key)
     files = {name: files_of(pattern, labels[name], excluded) for name in names}
@@ -194,7 +195,7 @@ def find_labels(
             f"{key}: expected a pattern with {{camera}} and, if there are several frames, {{frame}}, such as "
             f"{EXAMPLE}, got {pattern!r}"
         )
-    excluded = {path.resolve() for path in leave_out}
+    excluded = {os.path.realpath(path) for path in leave_out}
     if all(files_of(pattern, name, excluded) for name in used):
         return {name: name for name in used}
     if "camera" not in fields:
@@ -219,7 +220,7 @@ def labels_by_number(
     """Labels of cameras that are numbers: the last number in a camera's name, or the cameras' order.
 
     The number in the name counts where every camera has a label of its number, or where no label is of another number;
-    the order counts where there are as many labels as cameras, unless numbers in the names are in another one.
+    the order counts where there are as many labels as cameras, all by the same count from the numbers in their names.
 
     Args:
         labels: that there are, ``"00"`` or ``"1"``.
@@ -235,6 +236,7 @@ def labels_by_number(
         >>> labels_by_number(["0", "1"], ["front", "back"], ["front", "back"])
         {'front': '0', 'back': '1'}
         >>> labels_by_number(["0", "1", "2"], ["front", "back"], ["front"])  # which two?
+        >>> labels_by_number(["1", "2"], ["cam1", "cam11"], ["cam1"])  # which is of cam11?
     """
     by_number = {int(label): label for label in labels}
     if len(by_number) != len(labels):  # 1 and 01
@@ -246,8 +248,9 @@ def labels_by_number(
         everything = set(numbers.values())
         if everything <= by_number.keys() or needed <= by_number.keys() <= everything:
             return {name: by_number[numbers[name]] for name in used}
-    order = [numbers[name] for name in names if name in numbers]
-    if len(by_number) != len(names) or (len(set(order)) == len(names) and order != sorted(order)):
+        if len({own - label for own, label in zip(numbers.values(), sorted(by_number), strict=False)}) > 1:
+            return None
+    if len(by_number) != len(names):
         return None
     in_turn = dict(zip(names, sorted(by_number), strict=True))
     return {name: by_number[in_turn[name]] for name in used}
@@ -260,7 +263,7 @@ def _fields(pattern: str, key: str = "images") -> set[str]:
         raise ArgumentError(f"{key}: {pattern!r} is not a pattern ({error})") from None
 
 
-def files_of(pattern: str, label: str, excluded: Container[Path] = ()) -> dict[str, Path]:
+def files_of(pattern: str, label: str, excluded: Container[str] = ()) -> dict[str, Path]:
     """Frame -> file of one camera; ``""`` is the frame of a pattern without ``{frame}``."""
     files = {}
     matches = _matches(pattern, label, excluded)
@@ -277,7 +280,7 @@ def files_of(pattern: str, label: str, excluded: Container[Path] = ()) -> dict[s
     return files
 
 
-def _matches(pattern: str, label: str | None, excluded: Container[Path]) -> dict[tuple[str, str], Path]:
+def _matches(pattern: str, label: str | None, excluded: Container[str]) -> dict[tuple[str, str], Path]:
     """Label and frame -> file; of one label, or of all that are numbers."""
     glob, expression = "", ""
     for text, field, spec, _ in string.Formatter().parse(str(Path(pattern).expanduser())):
@@ -300,7 +303,7 @@ def _matches(pattern: str, label: str | None, excluded: Container[Path]) -> dict
         is_hidden = file.name.startswith(".") and not is_hidden_pattern  # ._0001.png of macOS
         # A link to nothing, as of files that were not fetched, is a frame that cannot be read.
         is_file = file.is_file() or not file.exists()
-        if match and not is_hidden and is_file and file.resolve() not in excluded:
+        if match and not is_hidden and is_file and os.path.realpath(file) not in excluded:
             values = match.groupdict()
             matches[values.get("camera", ""), values.get("frame") or ""] = file
     return matches

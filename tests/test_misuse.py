@@ -420,7 +420,6 @@ PanoramaSweep((4, 8), 4, 0.5).tables_for(VIEWS, PanoramaSweep((8, 16), 4, 0.5).t
 soft_argmax(torch.zeros(8)) -> logits: Shape
 photo_consistency(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, level=4) -> level: Argument
 photo_consistency(torch.zeros(2, 3, 642), ring_rig(2), 8, 0.5) -> sphere_images: Shape
-photo_consistency(torch.zeros(1, 2, 3, 642), ring_rig(2), 8, 0.5, aggregation=-1) -> aggregation: Argument
 photo_consistency(IMAGES, rig(), 8, 0.5, seen=SEEN.float()) -> seen: Argument
 correlation_evidence(IMAGES[0], pair()) -> images: Shape
 correlation_evidence(IMAGES[:, :1], pair()) -> images: Shape
@@ -574,7 +573,6 @@ save_point_cloud('x.doc', DIRECTIONS, DIRECTIONS) -> path: Argument
 save_point_cloud('x.ply', torch.zeros(4, 3), torch.zeros(5, 3)) -> colors: Shape
 save_point_cloud('x.ply', torch.tensor([[NAN, 0.0, 0.0]]), torch.zeros(1, 3)) -> points: Argument
 icosphere_mesh(5) -> depth: ArgumentType
-icosphere_mesh(torch.ones(42), max_jump=0.9) -> max_jump: Argument
 icosphere_mesh(torch.ones(42), torch.ones(42, 3)) -> colors: Shape
 sphere_mesh(ico()) -> values: ArgumentType
 sphere_mesh(torch.ones(2, 42)) -> values: Shape

@@ -32,7 +32,9 @@ class _WithoutTraining(DepthNetwork):
 
     min_depth_follows: ClassVar[Literal["rig", "training", "scene"]] = "scene"
 
-    def __init__(self, level: int, num_hypotheses: int, min_depth: float, depth_coarsening: int) -> None:
+    def __init__(
+        self, level: int = 6, num_hypotheses: int = 32, min_depth: float = 0.55, depth_coarsening: int = 2
+    ) -> None:
         super().__init__(num_hypotheses, min_depth, num_cameras=2, any_cameras=True)
         if not 0 <= depth_coarsening <= check_level(level):
             raise ArgumentError(f"depth_coarsening: expected 0 to level = {level}, got {depth_coarsening!r}")
@@ -115,8 +117,6 @@ class WinnerTakesAll(_WithoutTraining):
         num_hypotheses: N.
         min_depth: radius of the nearest hypothesis in metres.
         depth_coarsening: levels by which the result is coarser than the images.
-        rounds: of averaging the cost over the neighbours of a vertex.
-        subhypothesis: whether the winner is refined to a fraction by a parabola through its neighbours' costs.
 
     References:
         Collins (1996), "A space-sweep approach to true multi-image matching".
@@ -128,32 +128,12 @@ class WinnerTakesAll(_WithoutTraining):
         torch.Size([1, 42])
     """
 
-    def __init__(
-        self,
-        level: int = 6,
-        num_hypotheses: int = 32,
-        min_depth: float = 0.55,
-        depth_coarsening: int = 2,
-        rounds: int = 0,
-        subhypothesis: bool = False,
-    ) -> None:
-        super().__init__(level, num_hypotheses, min_depth, depth_coarsening)
-        self.rounds, self.subhypothesis = rounds, subhypothesis
-
     @torch.no_grad()
     def _estimate(
         self, images: Tensor, rig: CameraRig, seen: Tensor | None, hint: DepthHint | None
     ) -> DepthEstimate:
-        return photo_consistency(
-            images,
-            rig.to(self.device),
-            self.num_hypotheses,
-            self.min_depth,
-            self.depth_level,
-            self.rounds,
-            self.subhypothesis,
-            seen,
-        )
+        rig = rig.to(self.device)
+        return photo_consistency(images, rig, self.num_hypotheses, self.min_depth, self.depth_level, seen)
 
 
 class ConstantDepth(_WithoutTraining):

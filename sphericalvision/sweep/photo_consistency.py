@@ -18,11 +18,9 @@ from sphericalvision.sweep.appearance import local_appearance
 from sphericalvision.sweep.correlation import LEAST_SHARE
 from sphericalvision.sweep.hypotheses import check_hypotheses, inverse_depth_hypotheses
 from sphericalvision.sweep.regression import DepthEstimate
-from sphericalvision.sweep.ring_mean import ids_of_coarser_level, ring_mean
 from sphericalvision.sweep.sphere_sweep import sphere_sweep
 from sphericalvision.sweep.sweep_tables import sweep_tables
 from sphericalvision.sweep.visibility import check_seen, seen_in_view
-from sphericalvision.sweep.winner import winner_takes_all
 
 if TYPE_CHECKING:
     from sphericalvision.cameras import CameraRig
@@ -35,8 +33,6 @@ def photo_consistency(
     num_hypotheses: int,
     min_depth: float,
     level: int | None = None,
-    aggregation: int = 0,
-    subhypothesis: bool = False,
     seen: Bool[Tensor, "B n V_image"] | Bool[Tensor, "n V_image"] | None = None,
 ) -> DepthEstimate:
     """Return, at each vertex, the hypothesis at which the cameras that see the point agree best.
@@ -52,9 +48,6 @@ def photo_consistency(
         num_hypotheses: N.
         min_depth: smallest depth in metres.
         level: of the result; two below the images' when not given, as ``IcoSweepNet`` has it.
-        aggregation: rounds of averaging the cost over the neighbours of a vertex. With one or more, costs are
-            computed at the level of the images: steadier, and 16 times the work at the default ``level``.
-        subhypothesis: whether to refine the winner to a fraction by a parabola through its neighbours' costs.
         seen: ``([B,] n, V_image)``, True where the images show something; by default the rig's views less its masks.
 
     Returns:
@@ -62,7 +55,7 @@ def photo_consistency(
         and where two cameras see the point at any hypothesis.
 
     Raises:
-        ArgumentError: if the level is above the images', or the aggregation is negative.
+        ArgumentError: if the level is above the images'.
 
     References:
         Collins (1996), "A space-sweep approach to true multi-image matching".
@@ -81,10 +74,8 @@ def photo_consistency(
     level = max(image_level - 2, 0) if level is None else check_level(level)
     if level > image_level:
         raise ArgumentError(f"level: expected 0 to {image_level}, the level of the images, got {level}")
-    if aggregation < 0:
-        raise ArgumentError(f"aggregation: expected 0 or more rounds, got {aggregation}")
 
-    grid = Icosphere(image_level if aggregation else level, sphere_images.dtype, sphere_images.device)
+    grid = Icosphere(level, sphere_images.dtype, sphere_images.device)
     seen = seen_in_view(rig, image_level).to(sphere_images.device) if seen is None else seen
     seen = check_seen(seen, sphere_images)
     visible = seen.to(sphere_images)[:, :, None]
@@ -96,14 +87,11 @@ def photo_consistency(
         # As for correlations: a view ends where half of the interpolation weights are out of it.
         costs.append(deviation_cost(values / share.clamp(min=LEAST_SHARE), share.squeeze(2) > LEAST_SHARE))
     cost = torch.stack(costs, 1)
-    for _ in range(aggregation):
-        cost = _neighborhood_mean(cost)
-    cost = cost[..., ids_of_coarser_level(grid.level, level, cost.device)]
     finite = cost.isfinite()
     mean = torch.where(finite, cost, 0.0).sum(1) / finite.sum(1).clamp(min=1)
     valid = finite.any(1)
     confidence = torch.where(valid, 1 - cost.amin(1) / mean.clamp(min=1e-12), 0.0).clamp(0, 1)
-    return DepthEstimate(winner_takes_all(cost, subhypothesis), confidence, valid)
+    return DepthEstimate(cost.min(1).indices.to(cost), confidence, valid)
 
 
 def deviation_cost(values: Float[Tensor, "B n C V"], seen: Bool[Tensor, "B n V"]) -> Float[Tensor, "B V"]:
@@ -124,11 +112,3 @@ def deviation_cost(values: Float[Tensor, "B n C V"], seen: Bool[Tensor, "B n V"]
     # cameras would always agree better than three.
     unbiased = (count / (count - 1).clamp(min=1)).sqrt().squeeze(1)
     return torch.where(count.squeeze(1) >= 2, deviation.mean(1) * unbiased, torch.inf)
-
-
-def _neighborhood_mean(cost: Tensor) -> Tensor:
-    """Average ``(B, N, V)`` over each vertex and its neighbours, without infinite (unseen) costs."""
-    seen = cost.isfinite()
-    values = torch.stack((cost.where(seen, 0.0), seen.to(cost)))
-    total, count = ring_mean(values.movedim(-1, 0)).movedim(0, -1)
-    return (total / count).where(seen, torch.inf)

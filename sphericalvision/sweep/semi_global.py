@@ -154,7 +154,7 @@ def semi_global_sweep(
         large_penalty,
         contrast,
     )
-    index = winner_takes_all(smooth, subhypothesis=True)
+    index = winner_takes_all(smooth)
     cameras = at_nearest_hypothesis(evidence[:, 2], index)
     correlation = at_nearest_hypothesis(evidence[:, 1], index)
     confidence = sweep_confidence(smooth, correlation, index, substeps).where(cameras >= 2, 0.0)

@@ -8,25 +8,22 @@ from jaxtyping import Float, Shaped
 from torch import Tensor
 
 
-def winner_takes_all(cost: Float[Tensor, "B N V"], subhypothesis: bool = False) -> Float[Tensor, "B V"]:
+def winner_takes_all(cost: Float[Tensor, "B N V"]) -> Float[Tensor, "B V"]:
     """Return the index ``(B, V)`` of the smallest cost ``(B, N, V)``; infinite ones are left out.
 
-    With ``subhypothesis`` the index is moved to the minimum of the parabola through the winner and its two
-    neighbours, by less than half a hypothesis.
+    It is moved to the minimum of the parabola through the winner and its two neighbours, by less than half a
+    hypothesis.
 
     Examples:
-        >>> winner_takes_all(torch.tensor([[[4.0], [1.0], [2.0]]]), subhypothesis=True)
+        >>> winner_takes_all(torch.tensor([[[4.0], [1.0], [2.0]]]))
         tensor([[1.2500]])
     """
     best, winner = cost.min(1)
-    index = winner.to(cost.dtype)
-    if not subhypothesis:
-        return index
     before = cost.gather(1, (winner - 1).clamp(min=0)[:, None]).squeeze(1)
     after = cost.gather(1, (winner + 1).clamp(max=cost.shape[1] - 1)[:, None]).squeeze(1)
     curvature = before - 2 * best + after
     fits = (winner > 0) & (winner < cost.shape[1] - 1) & curvature.isfinite() & (curvature > 0)
-    return index + torch.where(fits, (before - after) / (2 * curvature), 0.0)
+    return winner + torch.where(fits, (before - after) / (2 * curvature), 0.0)
 
 
 def at_nearest_hypothesis(

@@ -9,7 +9,6 @@ import torch
 from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere, level_from_num_vertices
 from sphericalvision.shapes import check_shapes
 from sphericalvision.viz.color import colorize
@@ -19,34 +18,28 @@ if TYPE_CHECKING:
 
 
 @check_shapes
-def icosphere_mesh(
-    depth: Float[Tensor, " V"], colors: Float[Tensor, "3 V"] | None = None, max_jump: float = 1.2
-) -> trimesh.Trimesh:
-    """Surface through depth on the vertices of an icosphere, torn open at depth jumps.
+def icosphere_mesh(depth: Float[Tensor, " V"], colors: Float[Tensor, "3 V"] | None = None) -> trimesh.Trimesh:
+    """Surface through depth on the vertices of an icosphere, torn open where depth jumps by a fifth.
 
     Args:
         depth: ``(V,)`` metres; triangles with a corner that is infinite, NaN or not positive are left out.
         colors: ``(3, V)`` in [0, 1] at the vertices; grey when not given.
-        max_jump: largest ratio of the depths at a triangle's corners; above it the triangle is left out.
 
     Returns:
         A mesh in the rig's frame, facing the rig's centre; ``.export("room.ply")`` writes it.
 
     Raises:
         ShapeError: no icosphere has V vertices.
-        ArgumentError: ``max_jump`` is not above 1.
 
     Examples:
         >>> mesh = icosphere_mesh(torch.full((42,), 2.0))
         >>> len(mesh.faces), mesh.is_watertight
         (80, True)
     """
-    if max_jump <= 1:
-        raise ArgumentError(f"max_jump: expected a ratio above 1, got {max_jump!r}")
     grid = Icosphere(level_from_num_vertices(len(depth)), device=depth.device)
     if colors is None:
         colors = depth.new_full((3, len(depth)), 0.7)
-    return surface_mesh(grid.vertices, grid.faces, depth, colors, max_jump)
+    return surface_mesh(grid.vertices, grid.faces, depth, colors, 1.2)
 
 
 def surface_mesh(
@@ -81,16 +74,13 @@ def surface_mesh(
 
 
 @check_shapes
-def sphere_mesh(
-    values: Shaped[Tensor, " V"] | Float[Tensor, "3 V"], radius: float = 1.0, color_map: str = "viridis"
-) -> trimesh.Trimesh:
+def sphere_mesh(values: Shaped[Tensor, " V"] | Float[Tensor, "3 V"], radius: float = 1.0) -> trimesh.Trimesh:
     """The icosphere itself, coloured by values, as a mesh seen from outside.
 
     Args:
         values: ``(V,)``, coloured by a map from the smallest to the largest finite one, or colours ``(3, V)`` in
             [0, 1].
         radius: of the sphere.
-        color_map: name of a map of OpenCV's, in small letters.
 
     Returns:
         A mesh whose vertices are in the order of the icosphere; ``.export("sphere.ply")`` writes it.
@@ -111,7 +101,7 @@ def sphere_mesh(
         finite = values[values.isfinite()]
         low, high = (finite.min(), finite.max()) if len(finite) else (values.new_zeros(()),) * 2
         scaled = (values - low) / (high - low).clamp(min=torch.finfo(values.dtype).tiny)
-        colors = colorize(scaled.numpy(), color_map)
+        colors = colorize(scaled.numpy(), "viridis")
     import trimesh
 
     return trimesh.Trimesh(

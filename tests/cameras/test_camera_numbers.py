@@ -125,7 +125,7 @@ undistorted_camera(LENSES["equisolid"], balance=0.0), undistorted_camera(LENSES[
 undistorted_camera(LENSES["equisolid"], balance=0.3) -> 92.5118
 undistorted_camera(LENSES["equisolid"], image_size=(30, 50)), undistorted_camera(LENSES["band"]) -> 1.9806
 undistorted_camera(B, balance=1) -> 37.4073
-undistort(IMAGES["a"], A, balance=0.6, fill=0.2), undistort(IMAGES["a"], A, 1.2, mode="area") -> 11.3854
+undistort(IMAGES["a"], A, balance=0.6), undistort(IMAGES["a"], A, 1.2, mode="area") -> 11.3854
 remap(IMAGES["a"], A, WIDE, TURN[:3, :3], fill=0.7, mask=MASK[0]), remap(IMAGES["a"], A, NARROW) -> -1.0215
 remap(rand(1, 16, 32), WIDE, NARROW, TURN[:3, :3]), remap_mask(A, WIDE, TURN[:3, :3], mask=MASK) -> -2.6074
 remap(IMAGES["a"], A, WIDE, TURN[:3, :3], "area", 0.7, MASK) -> -3.6894

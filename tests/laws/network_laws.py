@@ -144,9 +144,7 @@ NETWORKS = {
     "semi-global sweep": Example(
         lambda: SemiGlobalSweep(3, 8, depth_coarsening=1), {"level": 4, "num_hypotheses": 6}, {}
     ),
-    "winner takes all": Example(
-        lambda: WinnerTakesAll(3, 8, subhypothesis=True), {"min_depth": 0.3, "rounds": 1}, {}
-    ),
+    "winner takes all": Example(lambda: WinnerTakesAll(3, 8), {"min_depth": 0.3}, {}),
 }
 """Every network of the package, and every form that differs in more than its size."""
 

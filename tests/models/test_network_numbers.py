@@ -74,7 +74,7 @@ loss_of(refined()) -> 3.1547
 predicted(OmniMVS(8, 0.5, 2, 3, (8, 32), num_scales=2), PICTURES, None) -> -10.4507
 predicted(OmniMVS(8, 0.5, 2, 3, (8, 32), norm="instance", circular=True, num_scales=2), PICTURES, None) -> -9.2074
 predicted(SemiGlobalSweep(3, 8, 0.4)) -> 3.4664
-predicted(WinnerTakesAll(3, 8, 0.4, rounds=1, subhypothesis=True)) -> 7.0308
+predicted(WinnerTakesAll(3, 8, 0.4)) -> 9.2123
 predicted(constant()), constant().index_at(rand(1, 42).float(), Icosphere(2).vertices) -> 2.9565
 classified(SphereClassifier("hex", 3, in_channels=2), 2) -> -1.1300
 classified(SphereClassifier("hexgroup", 3), 1), classified(SphereClassifier("crown", 3), 1) -> -2.4750

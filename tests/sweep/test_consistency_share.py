@@ -68,5 +68,5 @@ def test_a_depth_at_which_no_two_cameras_see_a_thing_has_no_share() -> None:
 
 def test_winner_takes_all_reaches_almost_all() -> None:
     images = sphere_at(4.0, RIG, level=4)
-    found = photo_consistency(images, RIG, 17, MIN_DEPTH, level=3, aggregation=1).index
+    found = photo_consistency(images, RIG, 17, MIN_DEPTH, level=3).index
     assert photo_consistency_share(found, images, RIG, 17, MIN_DEPTH).item() > 0.9

@@ -43,9 +43,9 @@ semi_global_sweep(IMAGES, RIG, 5, 0.4, 2, 2, 3, 0.1, 1.1, 0.2) -> -5.13020
 semi_global_costs(IMAGES, semi_global_tables(RIG, 6, 0.4, 3).sweep, SEEN) -> 6.57330
 photo_consistency_share(8 * rand(2, 162, seed=11), IMAGES, RIG, 9, 0.4, SEEN) -> -0.05534
 photo_consistency(IMAGES, RIG, 9, 0.4) -> 6.49924
-photo_consistency(IMAGES, RIG, 9, 0.4, 2, 2, True, SEEN) -> -3.80882
+photo_consistency(IMAGES, RIG, 9, 0.4, 2, SEEN) -> 4.46984
 semi_global_smoothing(COST, 0.1, 0.8, GUIDE) -> 2.09704
-winner_takes_all(COST, subhypothesis=True) -> -19.60248
+winner_takes_all(COST) -> -19.60248
 local_appearance(IMAGES) -> -7.62691
 appearance_at_depth(IMAGES, SEEN, OFFSETS, 2 * rand(2, 4, 162, seed=12)) -> 5.87333
 appearance_around(IMAGES, SEEN, OFFSETS, 2 * rand(2, 4, 162, seed=12), COST[:, 0] > 0.5) -> -7.83627

@@ -46,9 +46,8 @@ picture(depth_panorama(DEPTH, 0.5)), picture(depth_panorama(DEPTH, 0.5, 4.0, ran
 picture(error_panorama(DEPTH - 2, 2.5)), picture(strip([noise(20 + k, 30, k) for k in range(8)], 170)) -> -0.3018
 picture(sheet({"one": noise(20, 90), "a longer title": noise(30, 64, 1), "": noise(9, 40)}, 2)) -> -0.5174
 picture(sheet([noise(9, 40)])) -> 0.1188
-mesh(icosphere_mesh(BUMPY, rand(3, 162))), mesh(icosphere_mesh(BUMPY, max_jump=1.1)) -> -1.3894
+mesh(icosphere_mesh(BUMPY, rand(3, 162))), mesh(icosphere_mesh(BUMPY)) -> -3.1096
 mesh(sphere_mesh(BUMPY)), mesh(sphere_mesh(rand(3, 162), 0.7)) -> 4.3005
-mesh(sphere_mesh(BUMPY, color_map="turbo")) -> 10.5154
 icosphere_to_panorama(rand(2, 162), 9) -> -0.8180
 rgb_panorama(RIG, IMAGES, 20, DEPTH), rgb_panorama(RIG, IMAGES, 20), rgb_panorama(RIG, IMAGES, 9, 0.4) -> 2.0537
 """

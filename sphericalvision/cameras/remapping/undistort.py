@@ -29,8 +29,6 @@ def undistort(
     image_size: Sequence[int] | None = None,
     rotation: Float[Tensor, "*turns 3 3"] | None = None,
     mode: str = "bilinear",
-    fill: float = 0.0,
-    mask: Shaped[Tensor, "*masks h w"] | None = None,
     balance: float | None = None,
 ) -> Shaped[Tensor, "*batch C h_out w_out"]:
     """A perspective view from a wide image: ``remap`` to ``undistorted_camera``.
@@ -45,15 +43,13 @@ def undistort(
         rotation: ``(*b, 3, 3)``, from the camera to the view: what the image shows in direction d, the picture shows in
             ``rotation @ d``.
         mode: see ``remap``; ``"area"`` if the picture is smaller than the image.
-        fill: value where the image shows nothing.
-        mask: ``(*b, h, w)``, usable pixels of the image.
         balance: instead of a field of view, from 0, the widest view of which the image shows every pixel, to 1, the
             narrowest that shows all of the image; what is more than 80° off the axis, where
             perspective ends, is not asked for.
 
     Returns:
-        ``(*b, c, h', w')``. ``remap_mask(camera, undistorted_camera(...), rotation)`` says where the image shows
-        something.
+        ``(*b, c, h', w')``, 0 where the image shows nothing: where
+        ``remap_mask(camera, undistorted_camera(...), rotation)`` is False.
 
     Raises:
         ArgumentError: more than one of field of view, focal length and balance is given, or it is out of range.
@@ -67,7 +63,7 @@ def undistort(
         torch.Size([3, 48, 64])
     """
     target = undistorted_camera(camera, field_of_view, focal_length, image_size, balance)
-    return remap(image, camera, target, rotation, mode, fill, mask)
+    return remap(image, camera, target, rotation, mode)
 
 
 def undistorted_camera(

@@ -31,7 +31,6 @@ class PhotometricAugmentation(nn.Module):
         brightness: largest amount added or taken away, of the range [0, 1].
         contrast: largest change of the factor 1 on grey levels.
         noise: standard deviation of Gaussian noise, of the range [0, 1].
-        per_camera: draw colours for each camera, else once for all; noise differs always.
         generator: source of randomness; torch's global one when not given.
 
     References:
@@ -51,14 +50,13 @@ class PhotometricAugmentation(nn.Module):
         brightness: float = 0.1,
         contrast: float = 0.2,
         noise: float = 0.01,
-        per_camera: bool = True,
         generator: torch.Generator | None = None,
     ) -> None:
         from kornia.augmentation import ColorJiggle, RandomGaussianNoise  # a second to import
 
         super().__init__()
         self.generator = generator
-        self.color = ColorJiggle(brightness, contrast, same_on_batch=not per_camera)
+        self.color = ColorJiggle(brightness, contrast)
         self.noise = RandomGaussianNoise(mean=0.0, std=noise, p=0.5)
 
     @check_shapes

@@ -116,15 +116,17 @@ def test_poses_of_a_robots_frame_are_those_of_its_rig(run: Run, drive: Path, tmp
         np.testing.assert_allclose(robot, clean @ optical_from_world[:3, :3].numpy(), atol=1e-2)
 
 
+@pytest.mark.parametrize("up", ["-y", "z"])
 @pytest.mark.parametrize("inverted", [False, True])
 def test_poses_that_are_inverted_are_told(
-    drive: Path, capsys: pytest.CaptureFixture[str], inverted: bool
+    drive: Path, capsys: pytest.CaptureFixture[str], inverted: bool, up: str
 ) -> None:
     trajectory = read_trajectory(drive / "poses.txt")
-    poses = trajectory.world_from_camera.double()
+    optical_from_world = upright_turn(up, torch.eye(4)[None]).double()
+    poses = torch.linalg.inv(optical_from_world) @ trajectory.world_from_camera.double()
     write_poses(drive / "poses.txt", trajectory.names, torch.linalg.inv(poses) if inverted else poses)
-    source = keys(drive, calibration=f"{drive}/rig.yaml", images=f"{drive}/drive", up="-y").open()
-    warn_if_inverted(source, "-y")
+    source = keys(drive, calibration=f"{drive}/rig.yaml", images=f"{drive}/drive", up=up).open()
+    warn_if_inverted(source, up)
     assert ("agree better" in capsys.readouterr().out) == inverted
 
 

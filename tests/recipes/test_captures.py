@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from itertools import permutations
+from itertools import permutations, product
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from sphericalvision.capture.sources.opening import open_source, rig_with_masks
 from sphericalvision.capture.sources.patterns import find_files, find_labels
 from sphericalvision.core import ArgumentError, MissingFileError
 from sphericalvision.io.images import write_image
-from sphericalvision.recipes.app.captures import Capture, PosedCapture, cameras_and_labels
+from sphericalvision.recipes.app.captures import Capture, PosedCapture, cameras_and_labels, evenly_chosen
 from sphericalvision.recipes.app.rigs import make_ring
 from tests.recipes.tiny import Run
 
@@ -251,6 +251,13 @@ def test_stills_of_all_views_are_cut_as_videos_are(tmp_path: Path, cameras: list
     _, _, *others = source.frames(Selection(), lambda _: True)
     for number, frame in enumerate(others, 2):
         assert f"R{number}.png: expected 48 x 16 pixels (width x height), as the first" in str(frame.error)
+
+
+def test_some_frames_are_chosen_from_the_first_to_the_last(tmp_path: Path) -> None:
+    for camera, frame in product(NAMES, range(7)):
+        write_image(tmp_path / f"{camera}/{frame}.png", torch.zeros(3, 16, 16))
+    source = open_source(str(tmp_path), ring_rig(3, image_size=(16, 16)))
+    assert [frame.name for frame in evenly_chosen(source, 3)] == ["0", "3", "6"]
 
 
 def test_requested_frames_are_given_in_their_order_or_what_is_missing_is_named(tmp_path: Path) -> None:

@@ -58,6 +58,7 @@ train | modle=icosweepnet | modle: there is no such key
 train | model=icosweepnett | known are icosweepnet
 train | optimizer.learning_rate=1 | optimizer.learning_rate: there is no such key
 train | experiment=quickstart trainer.max_step=3 | did you mean trainer.max_steps
+train | callbacks.panels.num_frame=3 | did you mean callbacks.panels.num_frames
 train | model.output_size=[20,40] | is a key of model=omnimvs,
 train | data=omnistereo data.root=x data.tilts_deg=[0,9] | is a key of data=fisheye_scenes,
 train | data=omnistereo data.root=x data.tilts_degs=[0,9] | in this configuration; data has entries,
@@ -107,6 +108,7 @@ evaluate | rig=capture/config.yaml | rig=file rig.path=...
 predict | X window=5 | window: counts only with poses=...
 predict | X preset=paper | known are fast, fine, finest, live
 study | study=fast | known are paper, random_tilts, small, tiny
+study | study=tiny models.semi_global=null models.semi_global.label=x | does not count with the options
 study | study=tiny +models.semi_global.steps=2 | models.semi_global: expected one of
 study | study=tiny models.constant.train=null | models.constant.train: a constant depth map
 study | study=tiny extra_training=['optimizer.speed=1'] | optimizer.speed

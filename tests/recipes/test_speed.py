@@ -159,7 +159,8 @@ print(added_memory(run, torch.device("cpu")))"""
     )
 
 
-def test_presets_are_those_of_predict() -> None:
+def test_presets_are_those_of_predict(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)  # on the device that is asked for, nevertheless
     with initialize_config_module("sphericalvision.conf", version_base="1.3"):
         live, default = (
             preset_predictor(name, ring_rig(4, image_size=(64, 64)), CPU) for name in ("live", "default")

@@ -21,7 +21,7 @@ from hydra import compose, initialize_config_module
 from omegaconf import DictConfig, OmegaConf
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.data import write_omnistereo
+from sphericalvision.data import SampleView, write_omnistereo
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.io.images import read_image
 from sphericalvision.models import save_weights
@@ -34,8 +34,9 @@ from sphericalvision.recipes.evaluation.pictures import DrawnFrame, frames_sheet
 from sphericalvision.recipes.evaluation.protocols import Protocols
 from sphericalvision.recipes.evaluation.records import write_json
 from sphericalvision.recipes.evaluation.tables import Table, save_report
-from sphericalvision.recipes.study.models import study_models
+from sphericalvision.recipes.study.models import median, study_models
 from sphericalvision.recipes.study.tilted_views import View, view_frames
+from sphericalvision.recipes.study.training import training_config
 from sphericalvision.recipes.training import stages
 from tests.recipes.tiny import Run, composed, typed
 from tests.worlds import recorded_frames
@@ -304,6 +305,20 @@ def test_images_on_disk_are_turned(
     assert batch["fisheye"].shape == (1, 4, 3, 32, 32)
     assert (batch["fisheye"][..., 0, 0] == 0).all()
     torch.testing.assert_close(batch["rig"].select(0).axes[0], torch.tensor([0.0, 0.5**0.5, 0.5**0.5]))
+
+
+def test_the_constant_map_is_of_as_many_frames_as_the_study_says(words: tuple[str, ...]) -> None:
+    with initialize_config_module("sphericalvision.conf", version_base="1.3"):
+        config = compose("study", [*words, "baseline_frames=1"])
+        (model,) = (model for model in study_models(config) if model.kind == "constant")
+        training = training_config(model.words(config))
+        index = median(config, training).predict(torch.zeros(1, 2, 3, 642), None).index[0]
+    data = build(training.data)
+    data.min_depth = config.model.min_depth
+    data.view = SampleView(depth_level=1)
+    (first, *_) = data.plain_train_dataset()
+    expected = (config.num_hypotheses - 1) * config.model.min_depth * first["inverse_depth"]
+    torch.testing.assert_close(index, expected)
 
 
 def test_random_tilts_are_all_that_their_trainings_change() -> None:

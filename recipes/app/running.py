@@ -70,7 +70,8 @@ def run_command(command: Any, words: list[str]) -> None:
     if line.cfg or line.info or line.shell_completion:
         Plugins.instance().register(ConfigFolders)
         sys.argv[1:] = quote_paths(words)
-        hydra.main(version_base="1.3", config_path=f"pkg://{CONF}", config_name=command.name)(work)()
+        with plain_errors():
+            hydra.main(version_base="1.3", config_path=f"pkg://{CONF}", config_name=command.name)(work)()
         return
     with plain_errors(), config_space(line.config_dir) as loader:
         if line.help:

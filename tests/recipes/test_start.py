@@ -113,12 +113,14 @@ def test_without_the_recipes_extra_one_line_says_what_to_install() -> None:
     assert "pip install 'sphericalvision[recipes]'" in line
 
 
-@pytest.mark.parametrize("redirection", [">&-", "<&- >&- 2>&-", ">/dev/full"])
-def test_an_output_that_takes_nothing_gets_no_traceback(redirection: str) -> None:
-    command = f'{sys.executable} -c "{PREDICT}" --version {redirection}'
+@pytest.mark.parametrize(
+    "words", ["--version >&-", "--version <&- >&- 2>&-", "--version >/dev/full", "--cfg job >/dev/full"]
+)
+def test_an_output_that_takes_nothing_gets_no_traceback(words: str) -> None:
+    command = f'env -u PYTHONUNBUFFERED {sys.executable} -c "{PREDICT}" {words}'
     result = subprocess.run(command, shell=True, stderr=subprocess.PIPE, text=True, check=False)
-    assert result.returncode == ("full" in redirection)
-    assert len(result.stderr.strip().splitlines()) == ("full" in redirection)
+    assert result.returncode == ("full" in words)
+    assert len(result.stderr.strip().splitlines()) == ("full" in words)
 
 
 @pytest.mark.parametrize("word", ["--help", "--version"])

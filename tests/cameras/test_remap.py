@@ -228,30 +228,32 @@ def brute_force(image: Tensor, source: Camera, target: Camera, rotation: Tensor,
 
 
 PATTERNS = {
-    "stripes": lambda u, v: torch.sin(2 * math.pi * u / 2.3),
-    "checkerboard": lambda u, v: ((u + v) % 2) * 2 - 1,
-    "noise": lambda u, v: 2 * noise(*u.shape) - 2,
+    "stripes": (60, lambda u, v: torch.sin(2 * math.pi * u / 2.3)),
+    "checkerboard": (150, lambda u, v: ((u + v) % 2) * 2 - 1),
+    "noise": (500, lambda u, v: 2 * noise(*u.shape) - 2),
 }
+"""How many times less energy is aliased than by bilinear lookups, and values of pixels."""
 
 
 @pytest.mark.parametrize("pattern", PATTERNS)
 @pytest.mark.parametrize("shrink", [4, 8])
 def test_area_is_the_mean_over_what_a_pixel_covers(shrink: int, pattern: str) -> None:
-    """Against 256 samples a pixel: an order of magnitude less aliased energy than bilinear, and no bias."""
+    """Against 256 samples a pixel: far less aliased energy than bilinear, and no bias."""
+    times, values = PATTERNS[pattern]
     source = FisheyeCamera.from_field_of_view((256, 256), math.radians(190)).to(torch.float64)
     size = 256 // shrink
     target = FisheyeCamera.from_field_of_view((size, size), math.radians(180), "stereographic").to(
         torch.float64
     )
     rotation = turn(0.02, 0.03, 0.4)
-    image = PATTERNS[pattern](*source.pixel_grid().unbind(-1))[None]
+    image = values(*source.pixel_grid().unbind(-1))[None]
     expected = brute_force(image, source, target, rotation)
     area, valid = both(image, source, target, rotation, "area")
     bilinear, _ = both(image, source, target, rotation)
     valid = inner(valid, 1)
     wrong, aliased = ((x - expected)[:, valid].square().mean() for x in (area, bilinear))
     assert aliased > 0.02
-    assert wrong < aliased / 15
+    assert wrong < aliased / times
     assert (area - expected)[:, valid].mean().abs() < 2e-3
 
 

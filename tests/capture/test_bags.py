@@ -17,7 +17,7 @@ import pytest
 from PIL import Image
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.capture.sources.bags import Bag
+from sphericalvision.capture.sources.bags import Bag, is_part
 from sphericalvision.capture.sources.frames import Selection
 from sphericalvision.capture.sources.opening import open_source
 from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
@@ -244,6 +244,7 @@ def test_a_file_that_metadata_does_not_name_is_a_bag_of_its_own(tmp_path: Path) 
         for level in (1, 2)
     )
     stray = shutil.copy(second / "2.mcap", first / "stray.mcap")
+    assert [is_part(first / f"{name}.mcap.zstd") for name in ("1", "stray")] == [True, False]
     assert first_image(stray).max() == 2
     with pytest.warns(UserWarning, match=r"left out are stray\.mcap"):
         assert first_image(first).max() == 1

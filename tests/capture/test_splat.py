@@ -173,3 +173,10 @@ def test_a_lens_that_no_model_holds_is_said(tmp_path: Path) -> None:
     scene.close(ball(panorama).points())
     assert [path.name for path in tmp_path.iterdir()] == ["pinhole"]
     assert (tmp_path / "pinhole/images/cam2_back/0.png").is_file()
+
+
+def test_the_lens_that_is_worst_in_the_model_of_all_is_said(tmp_path: Path) -> None:
+    worst = UnifiedCamera([15.0, 15.0], [47.0, 44.0], 0.2, None, (88, 96))
+    scene = SplatScene(tmp_path)
+    scene.add("", ball(LENSES["unified"].replaced({**LENSES["unified"].cameras, "cam2": worst})))
+    assert "which stands for cam2 in native, is off by up to 1.3 pixels" in scene.notes[0]

@@ -78,6 +78,7 @@ evaluate | checkpoint=icosweepnet-smal | or one of icosweepnet-small
 render | num_frame=3 | did you mean num_frames
 render | output=x ~height | height has no default
 predict | X output=capture/config.yaml | output: cannot write to the folder capture/config.yaml
+predict | X output=/proc | output: cannot write to the folder /proc
 predict | RIG images | images: expected KEY=VALUE
 predict | =3 | --help
 predict | EACH | images: '{camera}.png' has no files of each of

@@ -33,7 +33,7 @@ from sphericalvision.io.images import read_image, write_image, write_mask
 from sphericalvision.models import SemiGlobalSweep
 from sphericalvision.recipes.app import checks
 from sphericalvision.recipes.app.captures import PosedCapture
-from sphericalvision.recipes.commands.predict import warn_if_inverted
+from sphericalvision.recipes.commands.predict import PredictConfig, nearest, predictor_for, warn_if_inverted
 from sphericalvision.scenes import make_scene, ray_depth, render_rig
 from tests.recipes.tiny import Run, composed, typed
 
@@ -128,6 +128,17 @@ def test_poses_that_are_inverted_are_told(
     source = keys(drive, calibration=f"{drive}/rig.yaml", images=f"{drive}/drive", up=up).open()
     warn_if_inverted(source, up)
     assert ("agree better" in capsys.readouterr().out) == inverted
+
+
+def test_windows_share_the_nearest_depth_that_one_of_them_has(drive: Path) -> None:
+    config = checks.typed(PredictConfig, composed("predict", *of_drive(drive), "up=-y", "min_depth=auto"))
+    source = config.capture.open()
+    depths = []
+    for frame in source.samples():
+        assert frame.rig is not None
+        assert frame.images is not None
+        depths.append(Predictor(frame.rig, method="semi_global", level=4).nearest_depth([frame.images]))
+    assert nearest(predictor_for(source.rig, config), source, config, {}) == round(min(depths), 3)
 
 
 @pytest.mark.parametrize("calibration", ["equirectangular", "camera.yaml", "rig.yaml"])

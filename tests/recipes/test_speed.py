@@ -19,6 +19,7 @@ from omegaconf import DictConfig
 from torch import Tensor
 
 from sphericalvision.cameras import ring_rig
+from sphericalvision.kernels import kernel_mode
 from sphericalvision.recipes.evaluation.places import FrameTruth
 from sphericalvision.recipes.evaluation.track_frames import render_frame
 from sphericalvision.recipes.evaluation.tracks import TRACKS
@@ -33,6 +34,7 @@ from sphericalvision.recipes.speed.measuring import (
     Seconds,
     comparison_table,
     measure,
+    ways,
 )
 from sphericalvision.recipes.speed.networks import network
 from sphericalvision.sweep import inverse_depth_from_index
@@ -111,6 +113,11 @@ def test_ways_give_the_same_numbers() -> None:
         for other in others:
             torch.testing.assert_close(other, plain, rtol=0, atol=1e-4)
     assert compared == 6
+    assert {name: run() for name, run in ways(kernel_mode, ["layers"], CPU).items()} == {
+        "plain": "reference",
+        OURS: kernel_mode(),
+        f"{OURS}, layers": "plain",
+    }
 
 
 def test_what_functions_report_is_asked_once_and_not_timed() -> None:
@@ -160,7 +167,9 @@ print(added_memory(run, torch.device("cpu")))"""
 
 
 def test_presets_are_those_of_predict(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)  # on the device that is asked for, nevertheless
+    monkeypatch.setattr(
+        torch.cuda, "is_available", lambda: True
+    )  # on the device that is asked for, nevertheless
     with initialize_config_module("sphericalvision.conf", version_base="1.3"):
         live, default = (
             preset_predictor(name, ring_rig(4, image_size=(64, 64)), CPU) for name in ("live", "default")

@@ -155,3 +155,12 @@ def test_a_line_of_progress_tells_where_a_training_stands(
         progress.on_train_batch_end(trainer)
     numbers = re.findall(r"\d[\d.:]*", capsys.readouterr().out)
     assert numbers == ["6", "20", "0:03:30", "15.00", "33", "0.250"]
+
+
+def test_a_bar_shows_the_loss_of_every_tenth_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(callbacks.RichProgressBar, "get_metrics", lambda *_: {})
+    bar, shown = callbacks.TrainingBar(), []
+    for step in (3, 4, 10, 11):
+        trainer: Any = SimpleNamespace(global_step=step, callback_metrics={"train/loss": torch.tensor(step)})
+        shown += bar.get_metrics(trainer, None).values()  # type: ignore[arg-type]
+    assert shown == [3, 3, 10, 10]

@@ -249,7 +249,6 @@ seen_by(ring_rig(4), torch.tensor([[0.0, -1.0, 0.0]]), -torch.ones(1)) -> invers
 to_kornia(PinholeCamera([500.0, 510.0], [319.5, 239.5], (480, 640), skew=2.5)) -> camera: Argument
 to_kornia(DoubleSphereCamera(F, C, -0.2, 0.6, SIZE)) -> camera: Argument
 to_kornia(KannalaBrandtCamera(F, C, [0.01] * 6, SIZE)) -> camera: Argument
-to_kornia(KannalaBrandtCamera(F, C, [0.01] * 4, SIZE), torch.eye(4)) -> camera: Argument
 overlap(torch.ones(2, 4).int(), torch.ones(3)) -> solid_angles: Shape
 ExtendedUnifiedCamera(F, C, 1.5, 1.0, SIZE) -> alpha: Argument
 ExtendedUnifiedCamera(F, C, 0.5, 0.0, SIZE) -> beta: Argument

@@ -25,26 +25,21 @@ _COEFFICIENTS = {"PINHOLE": 0, "BROWN_CONRADY": 8, "KANNALA_BRANDT_K3": 4}
 """Kornia's models, and how many numbers stand behind fx fy cx cy."""
 
 
-def to_kornia(camera: Camera, camera_from_world: Float[Tensor, "*poses 4 4"] | None = None) -> Any:
-    """The camera as Kornia's ``PinholeCamera`` if it is given a pose, else as its ``CameraModel``.
+def to_kornia(camera: Camera) -> Any:
+    """The camera as Kornia's ``CameraModel``.
 
     Args:
-        camera: a ``PinholeCamera``; without a pose a ``BrownConradyCamera`` of up to eight coefficients or a
-            ``KannalaBrandtCamera`` of four, too. A single one, or a batch (b,).
-        camera_from_world: (4, 4) or (b, 4, 4), Kornia's ``extrinsics``.
+        camera: a ``PinholeCamera``, a ``BrownConradyCamera`` of up to eight coefficients or a ``KannalaBrandtCamera``
+            of four. A single one, or a batch (b,).
 
     Raises:
         ArgumentError: Kornia has no such camera.
 
     Examples:
-        >>> camera = PinholeCamera([500.0, 500.0], [319.5, 239.5], (480, 640))
-        >>> to_kornia(camera, torch.eye(4)).project(torch.tensor([[[0.0, 0.0, 2.0]]])).tolist()
-        [[[319.5, 239.5]]]
-        >>> to_kornia(camera).params
+        >>> to_kornia(PinholeCamera([500.0, 500.0], [319.5, 239.5], (480, 640))).params
         tensor([500.0000, 500.0000, 319.5000, 239.5000])
     """
-    from kornia.geometry.camera import PinholeCamera as KorniaPinhole  # kornia takes a second to import
-    from kornia.image import ImageSize
+    from kornia.image import ImageSize  # kornia takes a second to import
     from kornia.sensors.camera import CameraModel, CameraModelType
 
     height, width = camera.image_size
@@ -54,20 +49,9 @@ def to_kornia(camera: Camera, camera_from_world: Float[Tensor, "*poses 4 4"] | N
             f"camera: Kornia has pinhole, Brown-Conrady and Kannala-Brandt cameras and batches (b,), got {camera!r}; "
             "convert the camera first: convert(camera, to=...)"
         )
-    if camera_from_world is None:
-        name, coefficients = _model(camera)
-        params = torch.cat((camera.focal_length, camera.principal_point, coefficients), -1)
-        return CameraModel(ImageSize(height, width), CameraModelType[name], params)
-    if not isinstance(camera, PinholeCamera):
-        raise ArgumentError(f"camera: Kornia's cameras with a pose are pinholes, got {camera!r}")
-    (fx, fy), (cx, cy) = camera.focal_length.unbind(-1), camera.principal_point.unbind(-1)
-    zero, one = torch.zeros_like(fx), torch.ones_like(fx)
-    skew = zero if camera.skew is None else camera.skew
-    entries = (fx, skew, cx, zero, zero, fy, cy, zero, zero, zero, one, zero, zero, zero, zero, one)
-    intrinsics = torch.stack(entries, -1).reshape(-1, 4, 4)
-    extrinsics = camera_from_world.to(intrinsics).reshape(-1, 4, 4).expand(len(intrinsics), 4, 4)
-    sides = torch.tensor([[height, width]]).to(intrinsics).expand(len(intrinsics), 2)
-    return KorniaPinhole(intrinsics, extrinsics, sides[:, 0], sides[:, 1])
+    name, coefficients = _model(camera)
+    params = torch.cat((camera.focal_length, camera.principal_point, coefficients), -1)
+    return CameraModel(ImageSize(height, width), CameraModelType[name], params)
 
 
 def _model(camera: PinholeCamera | BrownConradyCamera | KannalaBrandtCamera) -> tuple[str, Tensor]:

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import ring_rig
-from sphericalvision.core import ArgumentError
 from sphericalvision.data import RandomSphereRotation, RandomYaw, random_rotations
 from sphericalvision.data.augmentation.sphere_rotation import (
     num_yaw_steps,
@@ -140,25 +139,6 @@ def test_parameters_can_be_replayed(make: Any, generator: torch.Generator) -> No
     assert_equal(make(generator)(sample, params=params), turned)
     image = augment(sample["image"], params=params)  # a tensor alone is an image
     assert torch.equal(image, turned["image"])
-
-
-@pytest.mark.parametrize("make", AUGMENTATIONS)
-def test_entries_with_data_keys_are_turned_as_those_of_a_sample(
-    make: Any, generator: torch.Generator
-) -> None:
-    augment = make(generator)
-    sample = sample_of(augment.grid, 2, generator)
-    keys = ["image", "depth", "labels", "image"]
-    turned = augment(*(sample[key] for key in keys), data_keys=keys)
-    expected = augment(sample, params=augment._params)
-    for key, found in zip(keys, turned, strict=True):
-        assert torch.equal(found, expected[key])
-    assert torch.equal(augment(sample["image"], params=augment._params, data_keys=["input"]), turned[0])
-    back = augment.inverse(*turned, data_keys=keys)
-    assert torch.equal(back[1], augment.inverse(expected)["depth"])
-    for wrong in (["image"], ["image", "boxes"], None):
-        with pytest.raises(ArgumentError, match="data_keys: expected one for each of 2 entries"):
-            augment(sample["image"], sample["depth"], data_keys=wrong)
 
 
 @pytest.mark.parametrize("make", AUGMENTATIONS[1:3])

@@ -3,14 +3,14 @@
 
 The modules follow Kornia's: what is drawn at random is a dictionary of tensors, made by ``forward_parameters`` and kept
 in ``_params``; given back as ``params`` it does the same again, to other data if wanted, and ``inverse`` undoes it;
-``p`` and ``same_on_batch`` mean what they mean there, and ``data_keys`` what they mean to ``AugmentationSequential``.
+``p`` and ``same_on_batch`` mean what they mean there.
 """
 
 from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -86,51 +86,27 @@ class _SphereAugmentation(nn.Module):
         chosen = torch.rand(batch_shape[0], generator=self.generator) < self.p
         return {**params, "batch_prob": chosen}
 
-    def forward(
-        self, *data: Any, params: Parameters | None = None, data_keys: Sequence[str] | None = None
-    ) -> Any:
-        """Turn a tensor, an image, or the entries of a sample, by ``params`` or else by new random ones.
+    def forward(self, data: Any, params: Parameters | None = None) -> Any:
+        """Turn a tensor, an image, or the entries of a sample, by ``params`` or else by new random ones."""
+        self._params = self.forward_parameters((self._batch_size(data),)) if params is None else params
+        return self._applied(data, self._params)
 
-        Several entries are turned alike and come back as a list: ``data_keys`` names the kind of each, as entries of
-        samples are named ("input" is an image, too).
-
-        Raises:
-            ArgumentError: as many keys as entries are needed, of known names.
-        """
-        if params is None:
-            params = self.forward_parameters((self._batch_size(data[0]),))
-        self._params = params
-        return self._applied(data, params, data_keys)
-
-    def inverse(
-        self, *data: Any, params: Parameters | None = None, data_keys: Sequence[str] | None = None
-    ) -> Any:
-        """Turn back what these parameters, or else the last ones, have turned; ``data_keys`` as in ``forward``."""
+    def inverse(self, data: Any, params: Parameters | None = None) -> Any:
+        """Turn back what these parameters, or else the last ones, have turned."""
         params = self._params if params is None else params
         if not params:
             raise ArgumentError("params: nothing was turned yet; call the module first or pass parameters")
         inverse = {**params, "rotation": params["rotation"].mT}
         if "steps" in params:
             inverse["steps"] = -params["steps"]
-        return self._applied(data, inverse, data_keys)
+        return self._applied(data, inverse)
 
     def extra_repr(self) -> str:
         return f"p={self.p}, same_on_batch={self.same_on_batch}"
 
-    def _applied(self, data: tuple[Any, ...], params: Parameters, data_keys: Sequence[str] | None) -> Any:
-        if data_keys is None and len(data) == 1:
-            image = isinstance(data[0], Tensor)
-            return self._entry("input", data[0], "image", params) if image else self._sample(data[0], params)
-        kinds = {"input": "image", **USUAL_KINDS, **self.kinds}
-        keys = data_keys or ()
-        if len(keys) != len(data) or not set(keys) <= set(kinds):
-            raise ArgumentError(
-                f"data_keys: expected one for each of {len(data)} entries, among {', '.join(kinds)}, got {data_keys}"
-            )
-        turned = [self._entry(key, value, kinds[key], params) for key, value in zip(keys, data, strict=True)]
-        return turned if len(turned) > 1 else turned[0]
-
-    def _sample(self, data: Mapping[str, Any], params: Parameters) -> dict[str, Any]:
+    def _applied(self, data: Any, params: Parameters) -> Any:
+        if isinstance(data, Tensor):
+            return self._entry("input", data, "image", params)
         if others := [key for key in data if key.startswith("panorama") and key not in self.kinds]:
             raise ArgumentError(
                 f"sample: {', '.join(others)} would stay as they are while the rig is turned; leave them out, or turn "
@@ -210,7 +186,6 @@ class RandomSphereRotation(_SphereAugmentation):
         >>> turned = augment(image)
         >>> torch.equal(turned, augment(image, params=augment._params))
         True
-        >>> image, depth = augment(image, torch.rand(2, 642), data_keys=["image", "depth"])
     """
 
     def __init__(

@@ -27,14 +27,7 @@ from sphericalvision.recipes.app.checks import check_keys
 from sphericalvision.recipes.app.running import config_space
 from sphericalvision.recipes.app.words import first_values, read_words
 from tests.recipes.board_pictures import write_boards
-from tests.recipes.scanned_sets import (
-    write_deep360,
-    write_helvipad,
-    write_kitti360,
-    write_omnipus,
-    write_spires,
-    write_widedepth,
-)
+from tests.recipes.scanned_sets import PUBLISHED
 from tests.recipes.tiny import TINY_BENCHMARK, write_streams
 from tests.worlds import recorded_frames
 
@@ -144,14 +137,7 @@ def write_data_sets(folder: Path, rig: CameraRig) -> None:
     """Recorded and rendered data sets under the names that the documentation gives them."""
     for name, frames in (("omnithings", [1, 2, 8241]), ("omnihouse", [1, 2]), ("mine", [1, 2])):
         write_omnistereo(folder / name, recorded_frames(rig, frames, height=20), rig)
-    for write in (
-        write_deep360,
-        write_helvipad,
-        write_kitti360,
-        write_omnipus,
-        write_spires,
-        write_widedepth,
-    ):
+    for write in PUBLISHED:
         write(folder / write.__name__.removeprefix("write_"))
 
 

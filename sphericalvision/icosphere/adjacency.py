@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Adjacency on an icosphere: neighbours, edges, and the faces around vertices and across edges.
+"""Adjacency on an icosphere: neighbours, edges, and the faces across edges.
 
 What is around a vertex follows from the *half-edges*: half-edge ``3 * face + corner`` runs from that corner of the face
 to the next one, counter-clockwise seen from outside.
@@ -46,19 +46,6 @@ def icosphere_neighbors(level: int, device: torch.device | str | None = None) ->
     around = _half_edges_around(faces)
     ends = faces.roll(-1, 1).flatten()
     return torch.where(around < 0, -1, ends[around])
-
-
-def icosphere_vertex_faces(level: int, device: torch.device | str | None = None) -> Int[Tensor, "V 6"]:
-    """Return the faces around every vertex, ``(V, 6)``: face k lies between the neighbours k and k + 1.
-
-    The twelve vertices of the icosahedron have five faces; their last entry is -1.
-
-    Examples:
-        >>> icosphere_vertex_faces(0)[0]  # the north pole
-        tensor([16, 12,  8,  4,  0, -1])
-    """
-    around = _half_edges_around(icosphere_faces(level, device))
-    return torch.where(around < 0, -1, around // 3)
 
 
 def icosphere_face_neighbors(level: int, device: torch.device | str | None = None) -> Int[Tensor, "F 3"]:

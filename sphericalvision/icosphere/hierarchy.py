@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From one level of the icosphere to the next: which face lies in which, and which edge a vertex halves."""
+"""From one level of the icosphere to the next: which edge a vertex halves."""
 
 from __future__ import annotations
 
@@ -34,32 +34,3 @@ def icosphere_vertex_parents(level: int, device: torch.device | str | None = Non
     parents = torch.stack((first, second), -1).view(-1, 2).sort(-1).values
     last = 10 * (n // 2) ** 2 + 1
     return torch.cat((parents.new_zeros(1, 2), parents, parents.new_full((1, 2), last)))
-
-
-def icosphere_face_parents(level: int, device: torch.device | str | None = None) -> Int[Tensor, " F"]:
-    """Return the face of the next coarser level in which each face lies, ``(F,)``.
-
-    Examples:
-        >>> icosphere_face_parents(1)[:8].tolist()  # of the four cells in the first cell
-        [0, 0, 0, 1, 0, 1, 1, 1]
-    """
-    n = 2 ** check_level(level, 1)
-    chart = torch.arange(5, device=device)[:, None, None, None]
-    row = torch.arange(2 * n, device=device)[:, None, None]
-    column = torch.arange(n, device=device)[:, None]
-    half = torch.arange(2, device=device)
-    # Of the eight faces in a coarse cell those beyond its anti-diagonal belong to the south-eastern half.
-    coarse_half = (row % 2 + column % 2 + half >= 2).long()
-    cell = (chart * n + row // 2) * (n // 2) + column // 2
-    return (2 * cell + coarse_half).flatten()
-
-
-def icosphere_face_children(level: int, device: torch.device | str | None = None) -> Int[Tensor, "F 4"]:
-    """Return the four faces of the next finer level that lie in each face, ``(F, 4)``, in increasing order.
-
-    Examples:
-        >>> icosphere_face_children(0)[:2].tolist()
-        [[0, 1, 2, 4], [3, 5, 6, 7]]
-    """
-    parents = icosphere_face_parents(check_level(level) + 1, device)
-    return parents.argsort(stable=True).view(-1, 4)

@@ -12,7 +12,6 @@ from sphericalvision.icosphere import (
     IcospherePool,
     IcosphereUpsample,
     from_subdivision_order,
-    icosphere_faces,
     icosphere_neighbors,
     icosphere_pool,
     icosphere_solid_angles,
@@ -21,11 +20,7 @@ from sphericalvision.icosphere import (
     num_icosphere_vertices,
     to_subdivision_order,
 )
-from sphericalvision.icosphere.hierarchy import (
-    icosphere_face_children,
-    icosphere_face_parents,
-    icosphere_vertex_parents,
-)
+from sphericalvision.icosphere.hierarchy import icosphere_vertex_parents
 from sphericalvision.icosphere.topology import coarse_vertex_ids
 
 LEVELS = [1, 2, 4]
@@ -43,23 +38,6 @@ def test_a_vertex_halves_the_edge_of_its_parents(level: int) -> None:
     assert new.sum() == 30 * 4 ** (level - 1)  # one for each edge of the coarser level
     neighbors = icosphere_neighbors(level - 1)
     assert (neighbors[parents[new, 0]] == parents[new, 1:]).any(1).all()
-
-
-@pytest.mark.parametrize("level", LEVELS)
-def test_faces_lie_in_their_parents(level: int) -> None:
-    """The centre of a face is on the inner side of the three great circles through its parent's edges."""
-    fine, coarse = icosphere_vertices(level, torch.float64), icosphere_vertices(level - 1, torch.float64)
-    centers = fine[icosphere_faces(level)].mean(1)
-    a, b, c = coarse[icosphere_faces(level - 1)[icosphere_face_parents(level)]].unbind(1)
-    for first, second in ((a, b), (b, c), (c, a)):
-        assert ((torch.linalg.cross(first, second) * centers).sum(-1) > 0).all()
-
-
-@pytest.mark.parametrize("level", LEVELS)
-def test_children_and_parents_undo_each_other(level: int) -> None:
-    children, parents = icosphere_face_children(level - 1), icosphere_face_parents(level)
-    assert torch.equal(parents[children], torch.arange(len(children))[:, None].expand(-1, 4))
-    assert torch.equal(children.flatten().sort().values, torch.arange(len(parents)))
 
 
 def loop_pool(values: torch.Tensor, level: int, mode: str) -> torch.Tensor:
@@ -128,6 +106,5 @@ def test_to_the_subdivision_order_and_back() -> None:
 
 
 def test_bad_arguments_are_named() -> None:
-    for function in (icosphere_vertex_parents, icosphere_face_parents):
-        with pytest.raises(ArgumentError, match="no coarser level"):
-            function(0)
+    with pytest.raises(ArgumentError, match="no coarser level"):
+        icosphere_vertex_parents(0)

@@ -252,6 +252,10 @@ def write_widedepth(root: Path) -> Path:
     return root
 
 
+PUBLISHED = (write_deep360, write_helvipad, write_kitti360, write_omnipus, write_spires, write_widedepth)
+"""Writers of published sets, each called by the set's name."""
+
+
 def write_own(root: Path, rig: CameraRig, frames: tuple[str, ...], scene: Scene = SCENE) -> Path:
     """Images, a scan for each frame, the rig, and the pose of the scanner above it."""
     pose = torch.tensor([[0.0, -1, 0, 0.1], [0, 0, -1, -0.3], [1, 0, 0, 0.0], [0, 0, 0, 1]])

@@ -179,8 +179,7 @@ class RectifiedPair:
             ShapeError: the disparity is not of the images' size.
             ArgumentError: the pair has no camera ``of``.
         """
-        side, sign = self._checked("disparity", disparity, of)
-        disparity = at_least_float32("disparity", disparity)
+        side, sign, disparity = self._checked("disparity", disparity, of)
         baseline, forward, along, across = self._rays(disparity)
         seen = self._seen_by_both(disparity, side)
         valid = seen & (disparity >= 0)
@@ -211,8 +210,7 @@ class RectifiedPair:
             ShapeError: the distance is not of the images' size.
             ArgumentError: the pair has no camera ``of``.
         """
-        side, sign = self._checked("distance", distance, of)
-        distance = at_least_float32("distance", distance)
+        side, sign, distance = self._checked("distance", distance, of)
         baseline, forward, along, across = self._rays(distance)
         positive = distance > 0
         inverse = baseline / torch.where(positive, distance, 1.0)
@@ -262,12 +260,13 @@ class RectifiedPair:
         along, other = (x, y) if isinstance(self.camera, PinholeCamera) else (y, x)
         return self.baseline.to(like), z, along, torch.hypot(other, z)
 
-    def _checked(self, name: str, values: Tensor, of: str | None) -> tuple[int, int]:
+    def _checked(self, name: str, values: Tensor, of: str | None) -> tuple[int, int, Tensor]:
+        """Which image values belong to, the sign of its disparities, and the values in single precision at least."""
         check_image(name, values, self.image_size, "(*b, h, w)", "it belongs to images of rectify")
         if of is not None:
             check_choice("of", of, self.names)
         side = 0 if of is None else self.names.index(of)
-        return side, (1, -1)[side]
+        return side, (1, -1)[side], at_least_float32(name, values)
 
     def _seen_by_both(self, disparity: Tensor, side: int) -> Tensor:
         """Where the pixels of one image and those that a disparity away of the other one are seen."""

@@ -254,6 +254,21 @@ def test_selected_and_wanted_frames_are_those_of_all(tmp_path: Path, write: Writ
         source.names(Selection(12))
 
 
+@pytest.mark.parametrize("lines", [-1, 0, 1])
+@pytest.mark.parametrize("first", [0, 1])
+def test_lines_of_tables_are_counted_alike_for_all_cameras(tmp_path: Path, first: int, lines: int) -> None:
+    """Also where one has a line more or fewer than images, as of a recorder that was killed."""
+    own = dict.fromkeys(RIG.names, range(12)) | {"cam2": [0, 1, 2, *range(4, 12)]}
+    images = as_listed_files(tmp_path, own, "timestamps.txt")
+    for file in sorted(tmp_path.glob("*/data/*.png"), reverse=True):
+        file.rename(file.with_name(f"{int(file.stem) + first:06d}.png"))
+    table = tmp_path / "cam2/timestamps.txt"
+    rows = [*table.read_text().splitlines(), "2023-11-14 22:13:22.000000000"]
+    table.write_text("\n".join(rows[: len(rows) + lines - 1]))
+    frames = opened(images)[0].frames(Selection(), lambda _: True)
+    assert [moments_of(frame) for frame in frames] == [{m} for m in own["cam2"]][: 11 + min(lines, 0)]
+
+
 @pytest.mark.parametrize("content", [None, "2023-11-14 22:13:20.000000000\n", "22:13:20\n" * 10])
 def test_times_beside_images_of_which_some_are_missing_do_not_count(
     tmp_path: Path, content: str | None

@@ -23,8 +23,8 @@ def listed_clock(
     """The times in tables next to images or above their folders; None if no camera has one.
 
     A line has a time, and in other columns the image's file or number, and the camera if a table has several; or a time
-    in a column of each camera; or it is the time of the image of its number, counted from 0 or 1. A header may tell the
-    unit of times.
+    in a column of each camera; or it is the time of the image of its number, counted from 0 or 1 for all cameras,
+    whichever gives more images a time. A header may tell the unit of times.
 
     Args:
         folders: of each camera's images.
@@ -34,6 +34,15 @@ def listed_clock(
     Raises:
         ArgumentError: two tables tell different times.
     """
+    clocks = filter(None, (_clock(folders, labels, names, first) for first in (0, 1)))
+    count = lambda clock: sum(time is not None for own in clock.times.values() for time in own.values())  # noqa: E731
+    return max(clocks, key=count, default=None)
+
+
+def _clock(
+    folders: Mapping[str, Path], labels: Mapping[str, str], names: Mapping[str, Mapping[str, str]], first: int
+) -> Clock | None:
+    """``listed_clock`` where ``first`` is the number of the first line that names no image."""
     sources: set[str] = set()
     clock: dict[str, dict[str, float | None]] = {}
     for camera, folder in folders.items():
@@ -44,17 +53,17 @@ def listed_clock(
             tables = {
                 f.name: times
                 for f in files
-                if (times := _read(f, labels[camera], [*labels.values()], names[camera]))
+                if (times := _read(f, labels[camera], [*labels.values()], names[camera], first))
             }
             # A table that is called so and tells no times is said
             unread = [file.name for file in files if re.search("(?i)time|stamp", file.name)]
-            first, *others = [*tables] or unread[:1] or [""]
-            if any(tables[other] != tables[first] for other in others):
+            table, *others = [*tables] or unread[:1] or [""]
+            if any(tables[other] != tables[table] for other in others):
                 raise ArgumentError(
-                    f"images: {place / first} and {others[0]} tell different times; move one of them"
+                    f"images: {place / table} and {others[0]} tell different times; move one of them"
                 )
-            sources |= {first} - {""}
-            clock[camera] |= tables.get(first, {})
+            sources |= {table} - {""}
+            clock[camera] |= tables.get(table, {})
             if tables:
                 break
     return Clock(f"the times in {' and '.join(sorted(sources))} next to them", clock) if sources else None
@@ -66,7 +75,9 @@ def _is_of(name: str, label: str, labels: Iterable[str]) -> bool:
     return match[1] == label if match and match[1] else bool(_TABLE.fullmatch(name))
 
 
-def _read(path: Path, label: str, labels: Sequence[str], names: Mapping[str, str]) -> dict[str, float | None]:
+def _read(
+    path: Path, label: str, labels: Sequence[str], names: Mapping[str, str], first: int
+) -> dict[str, float | None]:
     """Image -> seconds of the table of one camera, or of its part in a table of all; empty if it is something else."""
     rows: list[list[str]] = []
     header: list[str] = []
@@ -81,7 +92,6 @@ def _read(path: Path, label: str, labels: Sequence[str], names: Mapping[str, str
         header = [" ".join(header) if len(columns) == 1 else ""] * len(columns)
     owners = [re.search(rf"(?<!\d)({'|'.join(map(re.escape, labels))})(?![A-Za-z0-9])", h) for h in header]
     has_all = {owner[1] for owner in owners if owner} == set(labels)  # a column of each camera
-    first = int(max((int(name) for name in names if name.isdigit()), default=0) == len(rows))
     images = [names.get(str(number)) for number in range(first, first + len(rows))]
     clocks: list[list[float | None]] = []
     is_named = len(columns) == 1

@@ -16,7 +16,7 @@ from sphericalvision.cameras.base import Camera
 from sphericalvision.cameras.checks import PLAUSIBLE, check_poses
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, check_choice
-from sphericalvision.io.times import SAME_TIME, are_counts, nearest_in_time, seconds
+from sphericalvision.io.times import SAME_TIME, SINCE_1970, are_counts, nearest_in_time, seconds
 from sphericalvision.kernels import full_precision
 
 UPS = ("-y", "y", "z", "camera")
@@ -166,7 +166,7 @@ class Trajectory:
 
         An image's pose is the one at its time, at most 20 ms away, or the one of its name. Names that are numbers count
         where every image has a pose of its number, or every pose an image. Where nothing of this tells and there are
-        as many images as poses, they belong together in their order.
+        as many images as poses, they belong together in their order, unless both have times since 1970.
 
         Args:
             images: names of the images in their order, without suffix: ``"000012"``, or times as ``io.times.seconds``
@@ -187,7 +187,9 @@ class Trajectory:
     def matches(self, images: Sequence[str], times: Sequence[float] | None = None) -> dict[str, int]:
         """Return which pose is whose, as ``of_images`` takes them: image -> place of its pose."""
         matches = self._by_time(images, times) or self._by_name(images)
-        if not matches and len(images) == len(self):
+        clocks = (seconds(images), seconds(self.names))
+        have_times = all(time is not None and time >= SINCE_1970 for clock in clocks for time in clock)
+        if not matches and len(images) == len(self) and not have_times:
             matches = {image: number for number, image in enumerate(images)}
         if not matches:
             raise ArgumentError(

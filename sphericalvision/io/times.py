@@ -19,7 +19,7 @@ _UNITS = ((1e12, 4.2e12, 1e-3), (1e15, 4.2e15, 1e-6))
 """From, to and seconds: times since 1970 from 2001 to 2103 in milliseconds and microseconds."""
 _NANOSECONDS_FROM = 1e13
 """Larger numbers are nanoseconds, since 1970 or since a device was switched on hours ago."""
-_SINCE_1970 = 1e9
+SINCE_1970 = 1e9
 """Seconds; no count, resolution or date of a file's name is as large."""
 _DATE = re.compile(
     r"((?:19|20)\d\d)-?(0[1-9]|1[0-2])-?(0[1-9]|[12]\d|3[01])[ T_-]?([01]\d|2[0-3])[:-]?([0-5]\d)[:-]?([0-5]\d)"
@@ -84,7 +84,7 @@ def seconds(names: Sequence[str], unit: float | None = None) -> list[float | Non
     ]
     return [
         time
-        if time is None or time >= _SINCE_1970 or (is_nano if part else stem == name or "." in stem)
+        if time is None or time >= SINCE_1970 or (is_nano if part else stem == name or "." in stem)
         else None
         for name, stem, part, time in zip(names, stems, matches, times, strict=True)
     ]

@@ -336,6 +336,13 @@ def test_images_find_their_poses(
     assert dict(zip(matched.names, matched.positions[:, 0].int().tolist(), strict=True)) == found
 
 
+def test_times_that_never_meet_tell_that_poses_are_of_another_run() -> None:
+    poses = Trajectory([f"{1.7e9 + 7200 + k:.2f}" for k in range(NUMBER)], way())
+    with pytest.raises(ArgumentError, match="which pose is whose"):
+        poses.of_images([f"{1.7e9 + k:.3f}" for k in range(NUMBER)])
+    assert len(poses.of_images([f"{k}.5" for k in range(NUMBER)])) == NUMBER  # since the start of a recording
+
+
 @pytest.mark.parametrize("first", [0, 1, 7])
 @pytest.mark.parametrize("number", [NUMBER - 3, NUMBER])
 @pytest.mark.parametrize("rows", [True, False], ids=["rows", "stated"])

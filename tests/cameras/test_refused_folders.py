@@ -73,6 +73,8 @@ REFUSED: list[tuple[Files, dict[str, Any], str, str]] = [  # files, what is give
     ({}, {}, "nothing", "no such file or folder"),
     ({}, {}, ".", "none of rig.yaml, sensor.yaml, calibration.json"),
     ({f"{k}/cameras.txt": "" for k in "01"}, {}, ".", "there are 0/cameras.txt, 1/cameras.txt; name"),
+    ({f"sparse/{k}/cameras.txt": "" for k in "01"}, {}, ".", "there are sparse/0/cameras.txt, sparse/1/cameras.txt"),
+    ({"right.yaml": "", "left.yaml": ""}, {}, ".", "there are right.yaml, left.yaml; name"),
     ({f"transforms_{k}.json": sample("transforms.json") for k in ("a", "b")}, {}, ".", "transforms_b.json; name"),
     ({"other.yaml": {"a": 1}}, {}, "other.yaml", "not a calibration; known are"),
     ({"factory_calibration.json": "{}"}, {}, ".", "there are factory_calibration.json; name"),

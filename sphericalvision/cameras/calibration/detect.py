@@ -223,7 +223,7 @@ def _calibration_files(path: Path) -> list[Path]:
                 matches.append([path, *parts])
     if not matches:
         texts = sorted(file.name for file in path.iterdir() if file.suffix in _TEXTS)
-        if similar := _similar(path, usual, ("*/", "")) or texts:
+        if similar := list(dict.fromkeys([*_similar(path, usual, ("", "*/", "*/*/")), *texts])):
             raise MissingFileError(
                 f"{path}: no calibration has its usual name in this folder (poses.txt, of ocam*.txt), but there are "
                 f"{', '.join(similar)[:200]}; name the one to read"

@@ -76,6 +76,7 @@ VALUES: dict[str, list[tuple[str, Any, str]]] = {  # file -> the way to a value,
     ],
     "rig.yaml": [
         ("version", 2, "reads version 1, got 2"),
+        ("cameras/0/name", "cam\x1b[31m", "without control characters, got 'cam\\x1b[31m'"),
         ("cameras/0/model", "magic", "cameras[0], model: expected one of"),
     ],
     "spires.yaml": [("sensor/camera_fov", 2.8, "camera_fov: expected degrees")],

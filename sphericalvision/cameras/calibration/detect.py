@@ -132,6 +132,10 @@ def _contents(path: str | Path, options: Options) -> tuple[Path, Contents]:
             if not calibration.is_like(_read(twin, options)):
                 raise ArgumentError(f"path: {path} and {twin.name} hold different cameras or poses; name one")
     for name, camera in calibration.cameras.items():
+        if re.search("[\0-\x1f\x7f-\x9f\ud800-\udfff]", name):  # names are printed, and in lists of results
+            raise FileFormatError(
+                f"{path}: expected names without control characters, got {name!r:.80}; rename it"
+            )
         if options.image_size is not None and tuple(options.image_size) != camera.image_size:
             raise ArgumentError(
                 f"image_size: {path} says itself that images of {name:.80} are {camera.image_size} (height, width), "

@@ -19,7 +19,7 @@ from sphericalvision.recipes.app.checks import check_node, hints_of
 from sphericalvision.recipes.app.cli import build
 from sphericalvision.recipes.app.rigs import make_ring
 from sphericalvision.recipes.datamodules.entries import images_of, truth_of
-from tests.recipes.tiny import composed, typed
+from tests.recipes.tiny import composed
 from tests.worlds import recorded_frames
 
 CONF = Path(sphericalvision.conf.__file__).parent
@@ -85,17 +85,6 @@ def test_adapting_takes_a_capture_and_the_shipped_weights() -> None:
     initialize(build(config.model), config.init_weights)
     for group in ("data", "task", "model", "optimizer"):
         check_node(config[group], group, ("net", "loss", "optimizer", "scheduler"))
-
-
-@pytest.mark.parametrize(
-    "chosen", typed("task=depth task=adapt experiment=spherical_digits experiment=segmentation")
-)
-def test_a_task_keeps_what_it_is_told(chosen: str) -> None:
-    config, told = train_config(chosen, "model.level=3"), {"monitor": "val/x", "mode": "max", "seed": 7}
-    parts = {name: build(config[name]) for name in ("loss", "optimizer", "scheduler")}
-    module = build({**config.task, **told}, "task", net=build(config.model), **parts)
-    assert {name: getattr(module, name) for name in told} == told
-    assert [module.loss, module.make_optimizer, module.make_scheduler] == [*parts.values()]
 
 
 def test_rooms_to_segment_make_their_network_and_their_first_sample() -> None:

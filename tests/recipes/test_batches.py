@@ -143,7 +143,9 @@ def test_a_compiled_step_is_one_graph_and_the_same(name: str) -> None:
     python("-c", f"from tests.recipes import test_batches; test_batches.compile_step({name!r})", path=ROOT)
 
 
-def test_a_backend_that_torch_lacks_is_refused() -> None:
+def test_a_backend_is_what_torch_compiles_with_or_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch, "compile", lambda function, backend: backend)
+    assert module_of(refined(), compile="eager").training_loss == "eager"
     with pytest.raises(ArgumentError, match=r"task\.compile.*inductor"):
         module_of(refined(), compile="faster")
 

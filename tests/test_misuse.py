@@ -143,6 +143,7 @@ camera().project(None) -> points: ArgumentType
 camera().project(DIRECTIONS.to(torch.complex64)) -> points: Argument
 camera().unproject(torch.tensor([[1, 2]])) -> pixels: Argument
 camera().contains(np.zeros((2, 2))) -> pixels: ArgumentType
+camera().sample(torch.zeros(32, 40, 3), DIRECTIONS) -> image: Shape
 camera().with_intrinsics(focal_length=200.0) -> focal_length: ArgumentType
 camera().resized('big') -> image_size: Argument
 camera().cropped(0.5, 0, 4, 4) -> cropped: ArgumentType

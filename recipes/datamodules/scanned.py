@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
 import torch
-from annotated_types import Ge, Gt, Le, Len
+from annotated_types import Ge, Len
 from torch.utils.data import Dataset
 
 from sphericalvision.cameras.robot_frame import read_pose
@@ -168,12 +167,11 @@ class OmniPusDataModule(ScannedDataModule):
     """OmniPus; its test cases validate, too, as it has no others."""
 
     root: Text
-    max_latitude_deg: Annotated[float, Gt(0), Le(90)] = 45.0
 
     def frames(self, split: str, height: int, transform: Transform) -> OmniPusDataset:
         """Frames of a split."""
         section = "train" if split == "train" else "test"
-        return OmniPusDataset(self.root, section, height, transform, math.radians(self.max_latitude_deg))
+        return OmniPusDataset(self.root, section, height, transform)
 
 
 @dataclass(eq=False, repr=False, kw_only=True)

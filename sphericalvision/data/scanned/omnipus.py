@@ -35,7 +35,6 @@ class OmniPusDataset(ScannedFrames):
 
     Args:
         split: "train" or "test".
-        latitude: radians of the upper edge of the truth above the horizon; 45° unless given, as pixels are square then.
 
     Raises:
         FileFormatError: a calibration that lacks a number.
@@ -47,7 +46,6 @@ class OmniPusDataset(ScannedFrames):
         split: str = "train",
         height: int = 160,
         transform: Callable[[Sample], Any] | None = None,
-        latitude: float = math.pi / 4,
     ) -> None:
         super().__init__(root, height, transform)
         check_choice("split", split, ("train", "test"))
@@ -59,7 +57,7 @@ class OmniPusDataset(ScannedFrames):
         self.fixed_rig = CameraRig(
             cameras, poses, {n: read_mask(m, cameras[n].image_size) for n, m in masks.items() if m.is_file()}
         )
-        self.truth = Equirectangular(*TRUTH_SIZE, max_latitude=latitude)
+        self.truth = Equirectangular.with_square_pixels(*TRUTH_SIZE)
         cases = (
             self.root / f"omnipus{part}" / f"omnipus{part.upper()}_case{case}"
             for part, tests in TEST_CASES.items()

@@ -20,6 +20,7 @@ CHEAP = {
     torch.ops.aten.slice.Tensor,
     torch.ops.aten.transpose.int,
     torch.ops.aten.to.dtype,
+    torch.ops.aten.to.device,
     torch.ops.aten._to_copy.default,
     torch.ops.aten.add.Tensor,
 }
@@ -32,7 +33,8 @@ def with_constants_folded(traced: GraphModule, *inputs: Any) -> GraphModule:
     """Return a traced module in which everything that does not depend on its inputs is a constant.
 
     Index arithmetic of icospheres makes up most of a network's graph, and none of it depends on images. Large tables
-    are stored once, however many views of them are used, and their integers in 32 bits if these are enough.
+    are stored once, however many views of them are used, without their rows of zeros if they have many, and integers in
+    32 bits if these are enough.
     """
     values: dict[Node, Any] = {}
 
@@ -58,7 +60,11 @@ def with_constants_folded(traced: GraphModule, *inputs: Any) -> GraphModule:
             node.args = (*node.args[:2], bias, *node.args[3:])
         if "assert" in str(node.target):
             traced.graph.erase_node(node)
-        elif _is_stored(node, constants) and (node.op == "call_function" or _is_large_int64(values[node])):
+        elif _is_stored(node, constants) and (
+            node.op == "call_function"
+            or _is_large_int64(values[node])
+            or _zero_rows(values[node]) is not None
+        ):
             values[_store(traced, node, values[node].detach().clone(), f"constant{number}")] = values[node]
     traced.graph.eliminate_dead_code()
     used = {node.target for node in traced.graph.nodes if node.op == "get_attr"}
@@ -83,12 +89,10 @@ def _store(traced: GraphModule, node: Node, value: Tensor, name: str) -> Node:
     lookup = node.op == "call_function" and _only_looked_up(node)
     widened = not lookup and _is_large_int64(value)
     rows, ids = _distinct_rows(value) if widened else (value, None)
-    traced.register_buffer(name, rows.int() if lookup or widened else rows)
     with traced.graph.inserting_before(node.next):
-        result = traced.graph.get_attr(name)
+        result = _buffer(traced, rows.int() if lookup or widened else rows, name)
         if ids is not None:
-            traced.register_buffer(f"{name}_ids", ids.int())
-            rows_and_ids = (result, 0, traced.graph.get_attr(f"{name}_ids"))
+            rows_and_ids = (result, 0, _buffer(traced, ids.int(), f"{name}_ids"))
             result = traced.graph.call_function(torch.ops.aten.index_select.default, rows_and_ids)
         if widened:
             result = traced.graph.call_function(torch.ops.aten.to.dtype, (result, torch.int64))
@@ -96,6 +100,40 @@ def _store(traced: GraphModule, node: Node, value: Tensor, name: str) -> Node:
             result = traced.graph.call_function(torch.ops.aten.view.default, (result, value.shape))
     node.replace_all_uses_with(result)
     return result
+
+
+def _buffer(traced: GraphModule, value: Tensor, name: str) -> Node:
+    """Return what reads a new buffer; rows of zeros are not stored if they are many."""
+    zero_rows = _zero_rows(value)
+    if zero_rows is None:
+        traced.register_buffer(name, value)
+        return traced.graph.get_attr(name)
+    rows = value.view(len(zero_rows), -1)
+    traced.register_buffer(name, torch.cat((rows.new_zeros(1, rows.shape[1]), rows[~zero_rows])))
+    traced.register_buffer(f"{name}_present", ~zero_rows)
+    aten, call = torch.ops.aten, traced.graph.call_function
+    present = call(aten.to.dtype, (traced.graph.get_attr(f"{name}_present"), torch.int32))
+    numbers = call(
+        aten.mul.Tensor, (call(aten.cumsum.default, (present, 0), {"dtype": torch.int32}), present)
+    )
+    selected = call(aten.index_select.default, (traced.graph.get_attr(name), 0, numbers))
+    return call(aten.view.default, (selected, value.shape))
+
+
+def _zero_rows(value: Any) -> Tensor | None:
+    """Return which rows of a table are zero, as a sweep's are out of view, if it is much smaller without; else None."""
+    if not isinstance(value, Tensor) or not value.is_contiguous() or value.nbytes < LARGE:
+        return None
+    rows = value.view(-1, value.shape[-1] if value.ndim > 1 else 1)
+    zero_rows = ~rows.any(1)
+    return zero_rows if int(zero_rows.sum()) * rows[0].nbytes - len(rows) >= LARGE else None
+
+
+def _stored_bytes(value: Tensor) -> int:
+    zero_rows = _zero_rows(value)
+    if zero_rows is None:
+        return value.nbytes
+    return len(zero_rows) + int((~zero_rows).sum()) * (value.nbytes // len(zero_rows))
 
 
 def _distinct_rows(value: Tensor) -> tuple[Tensor, Tensor | None]:
@@ -126,7 +164,7 @@ def _views_of_shared_tables(values: dict[Node, Any]) -> set[Node]:
                 views = _reached({table}, "users", cheap) - {table}
                 stored = {view for view in views if _is_stored(view, constants)}
                 saving = sum(constants[view].nbytes for view in stored)
-                saving -= 0 if _is_stored(table, constants) else value.nbytes
+                saving -= 0 if _is_stored(table, constants) else _stored_bytes(value)
                 if saving >= LARGE and (len(stored) > 1 or _is_stored(table, constants)):
                     savings[table] = saving, _reached(stored, "all_input_nodes", views)
         if not savings:

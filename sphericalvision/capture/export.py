@@ -329,9 +329,16 @@ def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Pat
     try:
         import onnx  # noqa: F401
         from onnx_ir.passes import PassManager, common
+        from onnxscript import opset18
         from onnxscript.optimizer import fold_constants
     except ImportError as error:
         raise ArgumentError(f"onnx: needs {error.name}: pip install onnx onnxscript onnxruntime") from None
+
+    def select_rows(values: Any, dim: int, index: Any) -> Any:
+        return opset18.Gather(
+            values, index, axis=dim
+        )  # the converter's own flattens and widens the index first
+
     inputs, _ = exported.example_inputs
     with quiet(), atomic_write(path) as temporary:
         # The optimiser of the converter does not end on programs of this size; folding does, and is half of the nodes.
@@ -341,6 +348,7 @@ def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Pat
             optimize=False,
             verbose=False,
             opset_version=OPSET,
+            custom_translation_table={torch.ops.aten.index_select.default: select_rows},
             input_names=["images", *(f"rig.{name}" for tables in inputs[1:] for name in tables)],
             output_names=OUTPUTS,
         )

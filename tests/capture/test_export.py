@@ -351,6 +351,26 @@ def test_views_of_a_large_table_share_it(highest: int, stored_numbers: int) -> N
     torch.testing.assert_close(program.module()(other), reading(other))
 
 
+def test_rows_of_zeros_are_not_stored() -> None:
+    """As the weights of a sweep, which are zero out of view."""
+    weights = torch.rand(30_000, 3) * (torch.arange(30_000) % 2)[:, None]
+
+    class Weighting(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.register_buffer("weights", weights)
+
+        def forward(self, values: torch.Tensor) -> torch.Tensor:
+            return (self.weights * values).sum(1)
+
+    values = torch.rand(3)
+    program = torch.export.export(Weighting(), (values,)).module()
+    folded = with_constants_folded(program, values)  # type: ignore[arg-type]
+    stored = [*folded.parameters(), *folded.buffers()]
+    assert sum(tensor.nbytes for tensor in stored) < 0.6 * weights.nbytes
+    torch.testing.assert_close(folded(-values), weights @ -values)
+
+
 def test_what_cannot_be_exported_is_told() -> None:
     lenses = [FisheyeCamera.from_field_of_view(size, 3.0) for size in ((16, 16), (16, 16), (16, 20))]
     uneven = CameraRig(lenses, RIG.world_from_camera)

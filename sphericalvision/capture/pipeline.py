@@ -169,10 +169,10 @@ class Pipeline:
         shows nothing, so that depth is no surer for it, and not sure at all where fewer than two others look.
         """
         seen = self.intake.seen
-        size = tuple(range(-(seen.ndim - 1), 0))
-        weight = seen / seen.sum(size, keepdim=True).clamp(min=1)
-        weight = weight.unsqueeze(1)  # of all channels
-        mean = (weight * frames).sum(size, keepdim=True)
-        variance = (weight * (frames - mean).square()).sum(size, keepdim=True).amax(2)
-        blank = variance < (2 * BLANK) ** 2  # frames are in [-1, 1]
+        weight = seen.flatten(1).to(frames)
+        weight /= weight.sum(1, keepdim=True).clamp(min=1)
+        values = frames.flatten(3)
+        mean = torch.einsum("bncv,nv->bnc", values, weight)
+        variance = torch.einsum("bncv,nv->bnc", (values - mean[..., None]).square_(), weight).amax(2)
+        blank = variance.view(*variance.shape, *(1,) * (seen.ndim - 1)) < (2 * BLANK) ** 2  # in [-1, 1]
         return seen & ~blank if may_hold(blank) else seen

@@ -121,8 +121,8 @@ def signed(
         >>> signed(torch.tensor([[[0.0, 0.25, 1.0]]]), torch.tensor([[True, True, False]]))
         tensor([[[-1.0000, -0.5000,  0.0000]]])
     """
-    values = images * 2 - 1
-    return values if seen is None else torch.where(seen.unsqueeze(1), values, 0.0)
+    values = images.mul(2).sub_(1)
+    return values if seen is None else values.mul_(seen.unsqueeze(1))
 
 
 def unsigned(images: Float[Tensor, "*images"]) -> Float[Tensor, "*images"]:

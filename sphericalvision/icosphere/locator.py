@@ -19,6 +19,7 @@ from sphericalvision.geometry.directions import moderate_lengths
 from sphericalvision.icosphere.descent import barycentric_weights, convex, descend
 from sphericalvision.icosphere.fast.triangle_table import (
     coefficients,
+    corners_of_quarters,
     find_in_few_steps,
     find_triangles,
     triangle_table,
@@ -125,6 +126,25 @@ class TriangleLocator:
     def weights(self, rays: Float[Tensor, "3 m"], triangles: Int[Tensor, " m"]) -> Float[Tensor, "3 m"]:
         """Return the weights ``(3, m)`` of the corners of triangles ``(m,)``, differentiable in the rays ``(3, m)``."""
         return _weights(rays, triangles, self.level)
+
+
+def triangle_corners(
+    rays: Float[Tensor, "3 m"], level: int
+) -> tuple[Int[Tensor, "m k"], Float[Tensor, "m k"]]:
+    """Return ids and weights of the vertices around rays ``(3, m)``, ``(m, k)`` each, as ``TriangleLocator`` finds."""
+    locator = TriangleLocator(level, rays.dtype, rays.device)
+    triangles, weights = locator.find(rays)
+    return locator.faces.index_select(0, triangles), weights.T
+
+
+def _corners_by_coarser_triangle(rays: Tensor, level: int) -> tuple[Tensor, Tensor]:
+    return corners_of_quarters(*_find(rays, level - 1), level - 1) if level else NotImplemented
+
+
+corners_by_coarser_tables = Operator(
+    triangle_corners, cpu=_corners_by_coarser_triangle, fused=_corners_by_coarser_triangle
+)
+"""``triangle_corners`` by tables a quarter as large; some of the k have no weight."""
 
 
 @check_shapes

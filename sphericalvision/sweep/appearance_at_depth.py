@@ -3,24 +3,27 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sphericalvision.geometry.lookup import weighted_rows
-from sphericalvision.icosphere import (
-    TriangleLocator,
-    icosphere_vertices,
-    level_from_num_vertices,
-)
+from sphericalvision.icosphere import icosphere_vertices, level_from_num_vertices
+from sphericalvision.icosphere.locator import chunk_size, corners_by_coarser_tables, triangle_corners
 from sphericalvision.kernels import Operator
 from sphericalvision.shapes import check_shapes
 from sphericalvision.sweep.ring_mean import ids_of_coarser_level, vertex_rings
 from sphericalvision.sweep.visibility import check_seen
 from sphericalvision.tables import constant_table
+
+Source = tuple[Tensor, Tensor, Callable[[Tensor], tuple[Tensor, Tensor]]]
+"""Images, seen, and what finds ids and weights ``(m, k)`` of the vertices around rays ``(3, m)``."""
+Read = Callable[[Tensor, Tensor], Tensor]
+"""From ids and weights ``(m, k)`` to weighted sums ``(C + 1, m)``."""
 
 
 class AppearanceAtDepth(NamedTuple):
@@ -63,9 +66,9 @@ def appearance_at_depth(
     vertices = icosphere_vertices(
         level_from_num_vertices(inverse_depths.shape[-1]), offsets.dtype, images.device
     ).T.contiguous()
-    locator = TriangleLocator(level_from_num_vertices(images.shape[-1]), offsets.dtype, images.device)
-    planes = _planes(images, seen)
-    return AppearanceAtDepth(*_appearance(planes, locator, vertices, offsets, inverse_depths))
+    corners = partial(triangle_corners, level=level_from_num_vertices(images.shape[-1]))
+    source = images, check_seen(seen, images), corners
+    return AppearanceAtDepth(*_appearance(source, vertices, offsets, inverse_depths))
 
 
 @check_shapes
@@ -100,14 +103,15 @@ def appearance_around(
     """
     level = level_from_num_vertices(inverse_depths.shape[-1])
     directions = _seven_directions(level, images.device).to(offsets.dtype)
-    locator = TriangleLocator(level_from_num_vertices(images.shape[-1]), offsets.dtype, images.device)
-    return _around(_planes(images, seen), locator, directions, offsets, inverse_depths, chosen)
+    corners = partial(corners_by_coarser_tables, level=level_from_num_vertices(images.shape[-1]))
+    source = images, check_seen(seen, images), corners
+    return _around(source, directions, offsets, inverse_depths, chosen)
 
 
 def _planes(images: Tensor, seen: Tensor) -> Tensor:
-    """``(B, n, C + 1, V)``: colours, and whether they were seen."""
-    weight = check_seen(seen, images).to(images)[:, :, None]
-    return torch.cat((images * weight, weight), 2)
+    """``(*b, C + 1, V)`` of images ``(*b, C, V)``: colours, and whether they were seen."""
+    weight = seen.to(images).unsqueeze(-2)
+    return torch.cat((images * weight, weight), -2)
 
 
 @constant_table
@@ -118,16 +122,11 @@ def _seven_directions(level: int, device: torch.device) -> Tensor:
 
 
 def _around_all(
-    planes: Tensor,
-    locator: TriangleLocator,
-    directions: Tensor,
-    offsets: Tensor,
-    inverse_depths: Tensor,
-    chosen: Tensor,
+    source: Source, directions: Tensor, offsets: Tensor, inverse_depths: Tensor, chosen: Tensor
 ) -> Tensor:
     """Numbers ``(B, K, D, V)``, computed everywhere."""
     inverse_depths = inverse_depths[..., None].expand(*inverse_depths.shape, directions.shape[-1]).flatten(2)
-    color, deviation, _ = _appearance(planes, locator, directions.flatten(1), offsets, inverse_depths)
+    color, deviation, _ = _appearance(source, directions.flatten(1), offsets, inverse_depths)
     deviation = deviation.unflatten(-1, directions.shape[1:])
     color = color.unflatten(-1, directions.shape[1:])
     variation = (color - color.mean(-1, keepdim=True)).abs().mean((2, -1))
@@ -136,21 +135,16 @@ def _around_all(
 
 
 def _around_chosen(
-    planes: Tensor,
-    locator: TriangleLocator,
-    directions: Tensor,
-    offsets: Tensor,
-    inverse_depths: Tensor,
-    chosen: Tensor,
+    source: Source, directions: Tensor, offsets: Tensor, inverse_depths: Tensor, chosen: Tensor
 ) -> Tensor:
     """The same, computed at the chosen vertices of one sample after the other."""
+    images, seen, corners = source
     batch, depths, vertices = inverse_depths.shape
-    result = planes.new_zeros(batch, depths, 3 + planes.shape[2], vertices)
+    result = images.new_zeros(batch, depths, 4 + images.shape[2], vertices)
     for sample, ids in enumerate(chosen[number].nonzero().squeeze(1) for number in range(batch)):
         one = slice(sample, sample + 1)
         result[sample][..., ids] = _around_all(
-            planes[one],
-            locator,
+            (images[one], seen[one], corners),
             directions[:, ids],
             offsets[one],
             inverse_depths[one][..., ids],
@@ -163,17 +157,19 @@ _around = Operator(_around_all, cpu=_around_chosen)
 
 
 def _by_sample(
-    planes: Tensor, locator: TriangleLocator, vertices: Tensor, offsets: Tensor, inverse_depths: Tensor
+    source: Source, vertices: Tensor, offsets: Tensor, inverse_depths: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Sample by sample and some vertices at once, so few that they stay in the cache of a CPU."""
-    if not len(planes):
+    images, seen, corners = source
+    if not len(images):
         return NotImplemented
-    size = max(1, locator.chunk_size // inverse_depths.shape[1])
+    size = max(1, chunk_size(images.device) // inverse_depths.shape[1])
+    is_few = 4 * inverse_depths[0].numel() < images.shape[-1]
     samples = []
-    for sample, offset, inverse_depth in zip(planes, offsets, inverse_depths, strict=True):
-        rows = [image.t().contiguous() for image in sample]  # what is looked up lies next to each other
+    for image, shown, offset, inverse_depth in zip(images, seen, offsets, inverse_depths, strict=True):
+        read = list(map(_read_few if is_few else _read_rows, image, shown))
         chunks = [
-            _seen_by_all(rows, locator, *chunk, offset)
+            _seen_by_all(read, corners, *chunk, offset)
             for chunk in zip(vertices.split(size, 1), inverse_depth.split(size, 1), strict=True)
         ]
         samples.append([torch.cat(values, -1) for values in zip(*chunks, strict=True)])
@@ -181,20 +177,31 @@ def _by_sample(
     return color, deviation, cameras
 
 
+def _read_rows(image: Tensor, seen: Tensor) -> Read:
+    """Read weighted sums ``(C + 1, m)`` of an image's planes, at ids and weights ``(m, k)``."""
+    rows = _planes(image, seen).t().contiguous()  # what is looked up lies next to each other
+    return lambda ids, weights: weighted_rows(rows, ids, weights).T.contiguous()
+
+
+def _read_few(image: Tensor, seen: Tensor) -> Read:
+    """The same where few are read, and the rest of the image is not touched."""
+
+    def read(ids: Tensor, weights: Tensor) -> Tensor:
+        weights = weights * seen[ids]
+        terms = [image.index_select(1, ids[:, k]) * weights[:, k] for k in range(ids.shape[1])]
+        return torch.cat((torch.stack(terms).sum(0), weights.sum(1)[None]))
+
+    return read
+
+
 def _seen_by_all(
-    rows: list[Tensor], locator: TriangleLocator, vertices: Tensor, inverse_depth: Tensor, offsets: Tensor
+    read: list[Read], find: Callable[..., Any], vertices: Tensor, inverse_depth: Tensor, offsets: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Color ``(K, C, V)``, deviation and cameras ``(K, V)`` of some vertices, so few that they stay in the cache."""
     weights, colors = [], []
-    for row, offset in zip(rows, offsets, strict=True):
-        triangles, shares = locator.find(
-            (vertices[:, None] + offset[:, None, None] * inverse_depth).flatten(1)
-        )
-        bags = locator.faces.index_select(0, triangles)
-        values = F.embedding_bag(bags, row, per_sample_weights=shares.T.to(row), mode="sum")
-        color, shown = (
-            values.T.contiguous().view(row.shape[1], *inverse_depth.shape).split((row.shape[1] - 1, 1))
-        )
+    for read_camera, offset in zip(read, offsets, strict=True):
+        values = read_camera(*find((vertices[:, None] + offset[:, None, None] * inverse_depth).flatten(1)))
+        color, shown = values.view(len(values), *inverse_depth.shape).split((len(values) - 1, 1))
         weights.append((shown > 0.5).to(shown))
         colors.append(color / shown.clamp(min=0.5))
     cameras = torch.stack(weights).sum(0)
@@ -207,17 +214,18 @@ def _seen_by_all(
 
 
 def _all_at_once(
-    planes: Tensor, locator: TriangleLocator, vertices: Tensor, offsets: Tensor, inverse_depths: Tensor
+    source: Source, vertices: Tensor, offsets: Tensor, inverse_depths: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Colours ``(B, K, C, V)``, deviation and cameras ``(B, K, V)`` of ``(B, n, C + 1, V_image)`` without a loop."""
+    """Colours ``(B, K, C, V)``, deviation and cameras ``(B, K, V)`` of ``(B, n, C, V_image)`` without a loop."""
+    images, seen, corners = source
+    planes = _planes(images, seen)
     batch, cameras, channels, number = planes.shape
     offset = offsets.permute(2, 0, 1)[..., None, None]
     rays = vertices[:, None, None, None] + offset * inverse_depths[:, None]  # (3, B, n, K, V)
-    triangles, shares = locator.find(rays.flatten(1))
+    ids, shares = corners(rays.flatten(1))
     first_row = torch.arange(0, batch * cameras * number, number, device=planes.device)
-    bags = locator.faces.index_select(0, triangles).view(batch * cameras, inverse_depths.shape[1:].numel(), 3)
-    bags = bags + first_row[:, None, None]
-    values = weighted_rows(planes.mT.reshape(-1, channels), bags.view(-1, 3), shares.T)
+    bags = ids.view(*rays.shape[1:], ids.shape[1]) + first_row.view(batch, cameras, 1, 1, 1)
+    values = weighted_rows(planes.mT.reshape(-1, channels), bags.view(ids.shape), shares)
     values = values.view(*rays.shape[1:], channels)
     weights = (values[..., -1:] > 0.5).to(values)
     colors = values[..., :-1] / values[..., -1:].clamp(min=0.5)

@@ -48,10 +48,9 @@ def coarser_images(
     """
     level = level_from_num_vertices(images.shape[-1])
     visible = seen[:, :, None].to(images)
-    planes = torch.cat((images * visible, visible), 2)
     # As matrices: torch transposes these several times as fast as it permutes four dimensions.
-    rows = planes.flatten(0, 2).t().contiguous()
-    means = ring_mean(rows, level - 1).t().contiguous().unflatten(0, planes.shape[:3])
+    rows = torch.cat((images * visible, visible), 2).flatten(0, 2).t().contiguous()
+    means = ring_mean(rows, level - 1).t().contiguous().unflatten(0, (*images.shape[:2], -1))
     coarse_seen = seen[..., ids_of_coarser_level(level, level - 1, images.device)]
     values = means[:, :, :-1] / means[:, :, -1:].clamp(min=1e-6)
     return values * coarse_seen[:, :, None], coarse_seen

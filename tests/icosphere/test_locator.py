@@ -7,9 +7,16 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.icosphere import Icosphere, TriangleLocator, icosphere_faces, locate
+from sphericalvision.icosphere import (
+    Icosphere,
+    TriangleLocator,
+    icosphere_faces,
+    locate,
+    num_icosphere_vertices,
+)
 from sphericalvision.icosphere.fast.triangle_table import triangle_table
-from sphericalvision.kernels import reference_kernels
+from sphericalvision.icosphere.locator import corners_by_coarser_tables, triangle_corners
+from sphericalvision.kernels import kernels, reference_kernels
 
 
 def located(directions: Tensor, level: int) -> tuple[Tensor, Tensor]:
@@ -117,3 +124,25 @@ def test_programs_with_many_directions_can_be_exported(generator: torch.Generato
     program = torch.export.export(module, inputs)
     torch.testing.assert_close(program.module()(*inputs), module(*inputs))
     assert triangle_table(1, torch.float32, torch.device("cpu")).cells.sum() > 0
+
+
+@pytest.mark.parametrize("level", [0, 1, 5])
+def test_tables_of_the_coarser_level_interpolate_as_the_own_ones(
+    level: int, generator: torch.Generator
+) -> None:
+    vertices = Icosphere(min(level + 1, 5)).vertices  # corners, middles of edges
+    rays = torch.cat((torch.randn(2_000, 3, generator=generator), vertices)).T.contiguous()
+    values = torch.randn(num_icosphere_vertices(level), generator=generator)
+    with reference_kernels():
+        expected = interpolated(values, *triangle_corners(rays, level))
+        torch.testing.assert_close(interpolated(values, *corners_by_coarser_tables(rays, level)), expected)
+    for mode in ("plain", "graph"):
+        with kernels(mode):
+            ids, weights = corners_by_coarser_tables(rays, level)
+        assert weights.min() >= 0
+        torch.testing.assert_close(weights.sum(1), torch.ones(len(weights)))
+        torch.testing.assert_close(interpolated(values, ids, weights), expected, rtol=0, atol=2e-6 * 2**level)
+
+
+def interpolated(values: Tensor, ids: Tensor, weights: Tensor) -> Tensor:
+    return (values[ids] * weights).sum(1)

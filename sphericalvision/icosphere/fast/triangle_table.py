@@ -22,7 +22,7 @@ from sphericalvision.icosphere.adjacency import icosphere_face_neighbors
 from sphericalvision.icosphere.descent import convex, descend
 from sphericalvision.icosphere.fast.octahedron import cell_centers, cell_numbers
 from sphericalvision.icosphere.mesh import icosphere_vertices
-from sphericalvision.icosphere.topology import icosphere_faces
+from sphericalvision.icosphere.topology import chart_vertex_ids, icosphere_faces
 from sphericalvision.tables import constant_table
 
 #: Cells along an edge of the octahedron: six for each triangle up to so many, at finer levels one and a half: a cell is
@@ -113,23 +113,63 @@ def find_in_few_steps(
 
     A cell is smaller than a triangle, so that none is farther than around a corner from the one in its middle.
     """
-    x, y, z = rays
-    half = table.resolution / 2
-    scale = half / rays.abs().sum(0)
-    across = torch.stack((x + z, x - z)) * scale + half
-    row, column = across.int().clamp(0, table.resolution - 1)
-    row = row.add(y < 0, alpha=table.resolution)
-    triangles = table.cells.index_select(0, column.add(row, alpha=table.resolution))
+    cells, resolution = _large_cells(table.level, rays.dtype, rays.device)
+    half = resolution / 2
+    x, y, z = rays = rays * (half / rays.abs().sum(0))  # of one size, so that rounding is
+    across = torch.stack((x + z, x - z)) + half
+    row, column = across.int().clamp(0, resolution - 1)
+    row = row.add(y < 0, alpha=resolution)
+    triangles = cells.index_select(0, column.add(row, alpha=resolution))
     matrices = _matrix_rows(table.level, rays.dtype, rays.device)
-    slack = 8 * 2**table.level * torch.finfo(rays.dtype).eps
+    slack = 8 * 2**table.level * torch.finfo(rays.dtype).eps * half
     columns = rays.T[:, :, None]
     for step in range(FEW_STEPS + 1):
         weights = (matrices.index_select(0, triangles).view(-1, 3, 3) * columns).sum(1)
         if step < FEW_STEPS:
             least, corner = weights.min(1)
             neighbors = table.neighbors.index_select(0, corner.add(triangles, alpha=3))
-            triangles = neighbors.where(least < -slack * weights.sum(1), triangles)
+            triangles = neighbors.where(least < -slack, triangles)
     return triangles, convex(weights, 1).T
+
+
+def corners_of_quarters(
+    triangles: Int[Tensor, " m"], weights: Float[Tensor, "3 m"], level: int
+) -> tuple[Int[Tensor, "m 4"], Float[Tensor, "m 4"]]:
+    """Return vertices of the next finer level, ``(m, 4)``, and the weights with which they add up to rays.
+
+    Great circles through the middles of its edges split a triangle in four. A ray is in that at a corner if the corner
+    has more than half of the weight. So three middles and a corner are enough, and one of them has no weight.
+    """
+    ids, cosines = _halves(level, weights.dtype, weights.device)
+    vertices = ids.index_select(0, triangles)
+    corner = weights.max(0).indices
+    rest = torch.minimum(weights, 1 - weights)  # what the corner leaves to the middles
+    total = rest.sum(0, keepdim=True)
+    # The sum of two corners is longer than the unit vector to their middle, by twice the cosine of half their angle.
+    middles = (total - 2 * rest) * cosines.index_select(1, triangles)
+    vertices = torch.cat((vertices[:, 3:], vertices.gather(1, corner[:, None])), 1)
+    return vertices, convex(torch.cat((middles, 1 - total)), 0).T
+
+
+@constant_table
+def _large_cells(level: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, int]:
+    """Cells of ``triangle_table``, but so large that programs and devices need few, and their resolution."""
+    table = triangle_table(level, dtype, device)
+    resolution = FEWEST * 2**level
+    size = table.resolution // resolution
+    cells = table.cells.view(2, resolution, size, resolution, size)[:, :, size // 2, :, size // 2]
+    return cells.flatten(), resolution
+
+
+@constant_table
+def _halves(level: int, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Ids ``(T, 6)`` at the next level of corners and of the middles opposite to them, and cosines ``(3, T)``."""
+    # The two triangles of a cell, by the 3 x 3 vertices that it has at the next level, in rows
+    cells = chart_vertex_ids(level + 1).unfold(1, 3, 2).unfold(2, 3, 2).flatten(3)
+    ids = cells[..., torch.tensor([[0, 2, 6, 4, 3, 1], [8, 6, 2, 4, 5, 7]])].view(-1, 6)
+    corners, middles = icosphere_vertices(level + 1, torch.float64)[ids].split(3, 1)
+    cosines = (middles * corners.roll(-1, 1)).sum(-1).T.contiguous()
+    return ids.to(device), cosines.to(device, dtype)
 
 
 @constant_table

@@ -499,7 +499,6 @@ SolidAngleIoU(ico(), 2).update(LABELS + 0.5, LABELS) -> pred: Argument
 SolidAngleIoU(ico(), 2).update(LABELS, LABELS.float()) -> target: Argument
 SolidAngleIoU(ico(), 3, ignore_index=-1).update(LABELS.byte(), LABELS.byte() + 255) -> target: Argument
 SolidAngleIoU(ico(), 2).update(LABELS, LABELS + 7) -> target: Argument
-seam_mask(torch.tensor([[0.0, -1.0, 0.0]]), seams='cube') -> seams: Argument
 seam_mask(torch.tensor([[0.0, -1.0, 0.0]]), 0.0) -> angle: Argument
 omnimvs_error(torch.zeros(1, 8, 24), torch.zeros(1, 8, 24)) -> pred_inverse_depth: Shape
 omnimvs_error(torch.zeros(1, 8, 16), torch.zeros(1, 8)) -> target_inverse_depth: Shape

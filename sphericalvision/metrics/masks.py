@@ -12,12 +12,10 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, seen_by
-from sphericalvision.core import ArgumentError, check_choice
+from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import icosphere_vertices
 from sphericalvision.icosphere.topology import vertex_at
 from sphericalvision.shapes import check_shapes
-
-SEAMS = ("all", "charts", "panorama")
 
 
 class EvaluationMask(NamedTuple):
@@ -64,34 +62,32 @@ def evaluation_mask(
 
 @check_shapes
 def seam_mask(
-    directions: Float[Tensor, "*batch 3"], angle: float = math.radians(5), seams: str = "all"
+    directions: Float[Tensor, "*batch 3"], angle: float = math.radians(5)
 ) -> Bool[Tensor, "*batch"]:
     """Return which directions are near a seam of the networks' grids, where errors should be no larger than elsewhere.
+
+    Seams are the borders of the icosphere's five charts, 15 edges of the icosahedron, and the meridian straight behind
+    (-z), where an equirectangular panorama is cut, with both poles.
 
     Args:
         directions: ``(*, 3)`` of any length but zero.
         angle: distance from the seam in radians, above 0 up to π/2.
-        seams: ``"charts"``: the borders of the icosphere's five charts, 15 edges of the icosahedron.
-            ``"panorama"``: the meridian straight behind (-z), where an equirectangular panorama is cut, with both
-            poles. ``"all"``: either.
 
     Returns:
         ``(*)`` bool.
 
     Raises:
-        ArgumentError: if the angle is out of range or the seams are unknown.
+        ArgumentError: if the angle is out of range.
 
     Examples:
         >>> up, behind, ahead = [0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [0.3, 0.0, 1.0]
-        >>> seam_mask(torch.tensor([up, behind, ahead]), seams="panorama")
+        >>> seam_mask(torch.tensor([up, behind, ahead]))
         tensor([ True,  True, False])
     """
-    check_choice("seams", seams, SEAMS)
     if not 0 < angle <= math.pi / 2:
         raise ArgumentError(f"angle: expected more than 0, up to π / 2 radians, got {angle!r}")
-    arcs = {"charts": [_chart_borders()], "panorama": [_meridian_behind()]}
-    chosen = torch.cat(arcs["charts"] + arcs["panorama"] if seams == "all" else arcs[seams])
-    return _near_arcs(F.normalize(directions.double(), dim=-1), chosen.to(directions.device), angle)
+    arcs = torch.cat((_chart_borders(), _meridian_behind())).to(directions.device)
+    return _near_arcs(F.normalize(directions.double(), dim=-1), arcs, angle)
 
 
 def _chart_borders() -> Tensor:

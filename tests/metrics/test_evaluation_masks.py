@@ -68,7 +68,7 @@ def test_what_fewer_than_two_see_is_left_out_and_the_share_is_told(generator: to
     assert (everything.left_out == 0).all()
 
 
-def seam_points(seams: str) -> Tensor:
+def seam_points() -> Tensor:
     """Points along the seams, a hundredth of a degree apart on the meridian, vertices of level 9 along the charts."""
     latitude = torch.linspace(-math.pi / 2, math.pi / 2, 18001, dtype=torch.float64)
     meridian = torch.stack((torch.zeros_like(latitude), latitude.sin(), -latitude.cos()), -1)
@@ -76,21 +76,19 @@ def seam_points(seams: str) -> Tensor:
     border = torch.cat(
         [ids[:, 0].flatten(), ids[:, -1].flatten(), ids[..., 0].flatten(), ids[..., -1].flatten()]
     )
-    charts = icosphere_vertices(9, torch.float64)[border]
-    return {"panorama": meridian, "charts": charts, "all": torch.cat((meridian, charts))}[seams]
+    return torch.cat((meridian, icosphere_vertices(9, torch.float64)[border]))
 
 
-@pytest.mark.parametrize("seams", ["charts", "panorama", "all"])
 @pytest.mark.parametrize("degrees", [2.0, 5.0, 20.0])
-def test_seams_are_where_the_borders_are(seams: str, degrees: float, generator: torch.Generator) -> None:
+def test_seams_are_where_the_borders_are(degrees: float, generator: torch.Generator) -> None:
     directions = torch.randn(400, 3, generator=generator, dtype=torch.float64)
     unit = directions / directions.norm(dim=-1, keepdim=True)
-    nearest = torch.cdist(unit, seam_points(seams), compute_mode="donot_use_mm_for_euclid_dist").amin(1)
+    nearest = torch.cdist(unit, seam_points(), compute_mode="donot_use_mm_for_euclid_dist").amin(1)
     angle = 2 * (nearest / 2).asin()
     certain = (angle - math.radians(degrees)).abs() > 1e-3
-    mask = seam_mask(directions, math.radians(degrees), seams)
+    mask = seam_mask(directions, math.radians(degrees))
     assert torch.equal(mask[certain], (angle < math.radians(degrees))[certain])
-    if (seams, degrees) == ("all", 5.0):
+    if degrees == 5.0:
         assert torch.equal(seam_mask(directions), mask)
 
 

@@ -190,6 +190,7 @@ class VertexErrors:
         scale: whose percentages errors are.
         level: of the icosphere on which truth is.
         device: of the batches.
+        within: ``(V,)``, False at vertices that are left out for all methods.
         max_depth: of errors in metres.
     """
 
@@ -198,15 +199,17 @@ class VertexErrors:
         scale: Scale,
         level: int,
         device: torch.device | str = "cpu",
+        within: Tensor | None = None,
         max_depth: Limit = "auto",
     ) -> None:
-        self.scale, self.max_depth = scale, max_depth
+        self.scale, self.within, self.max_depth = scale, within, max_depth
         self.key = {"generation": 2, "max_depth": max_depth}
         self.directions = Icosphere(level, device=device).vertices
 
     def truth(self, batch: Batch) -> Any:
         """True inverse depth, and where it counts, both ``(B, V)``; names of the frames."""
-        return batch["inverse_depth"], batch["valid"], batch["frame"]
+        valid = batch["valid"] if self.within is None else batch["valid"] & self.within
+        return batch["inverse_depth"], valid, batch["frame"]
 
     def errors(self, answer: Answer, truth: Any) -> dict[str, Any]:
         """Errors of ``depth_index_error`` and ``errors_in_metres``, and percent of the points that are kept."""

@@ -111,9 +111,10 @@ def test_numbers_of_calibrations_have_bounds(tmp_path: Path) -> None:
         ("OPENCV_FISHEYE 640 480 400 400 320 240 50 0 0 0", "another model"),
         ("PINHOLE 640 480 400 320 400 240", "numbers exchanged"),
     ):
-        (tmp_path / "cameras.txt").write_text(f"1 {lens}\n")
-        with pytest.warns(UserWarning, match=f"cam1: .*{doubt}"):
-            read_camera(tmp_path / "cameras.txt")
+        (tmp_path / "cameras.txt").write_text(f"1 {lens}\n2 {lens}\n")
+        with pytest.warns(UserWarning, match=f"cam1: .*{doubt}") as told:
+            read_camera(tmp_path / "cameras.txt", "cam1")
+        assert len(told) == 1  # of the second camera it is probably as true
     stretched = TEXTS["lens.txt"].replace("1.0 0.0 0.0", "1000 0 0")
     with pytest.warns(UserWarning, match="focal length "):
         read_camera(dump(tmp_path / "lens.txt", stretched))

@@ -225,8 +225,13 @@ def test_masks_by_number_say_whose_they_are(tmp_path: Path, capsys: pytest.Captu
     for name in ("front", "back", "mask_0", "mask_1"):
         write_image(tmp_path / f"{name}.png", torch.ones(1, 16, 16))
     images, masks = f"{tmp_path}/{{camera}}.png", f"{tmp_path}/mask_{{camera}}.png"
-    Capture(calibration=str(tmp_path / "rig.yaml"), images=images, masks=masks).open()
-    assert "Masks: front is mask_0.png, back is mask_1.png." in capsys.readouterr().out
+    keys: Any = {"calibration": str(tmp_path / "rig.yaml"), "images": images, "masks": masks}
+    for cameras, said in {
+        None: "front is mask_0.png, back is",
+        ("back", "front"): "back is mask_1.png, front is",
+    }.items():
+        Capture(**keys, cameras=cameras and [*cameras]).open()
+        assert f"Masks: {said} mask_" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("cameras", [None, ["cam1", "cam2"], ["cam3"]])

@@ -113,9 +113,8 @@ def _buffer(traced: GraphModule, value: Tensor, name: str) -> Node:
     traced.register_buffer(f"{name}_present", ~zero_rows)
     aten, call = torch.ops.aten, traced.graph.call_function
     present = call(aten.to.dtype, (traced.graph.get_attr(f"{name}_present"), torch.int32))
-    numbers = call(
-        aten.mul.Tensor, (call(aten.cumsum.default, (present, 0), {"dtype": torch.int32}), present)
-    )
+    counts = call(aten.cumsum.default, (present, 0), {"dtype": torch.int32})
+    numbers = call(aten.mul.Tensor, (counts, present))
     selected = call(aten.index_select.default, (traced.graph.get_attr(name), 0, numbers))
     return call(aten.view.default, (selected, value.shape))
 

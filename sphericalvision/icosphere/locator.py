@@ -128,9 +128,7 @@ class TriangleLocator:
         return _weights(rays, triangles, self.level)
 
 
-def triangle_corners(
-    rays: Float[Tensor, "3 m"], level: int
-) -> tuple[Int[Tensor, "m k"], Float[Tensor, "m k"]]:
+def triangle_corners(rays: Float[Tensor, "3 m"], level: int) -> tuple[Tensor, Tensor]:
     """Return ids and weights of the vertices around rays ``(3, m)``, ``(m, k)`` each, as ``TriangleLocator`` finds."""
     locator = TriangleLocator(level, rays.dtype, rays.device)
     triangles, weights = locator.find(rays)

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from sphericalvision.geometry.lookup import weighted_rows
 from sphericalvision.icosphere import icosphere_neighbors, level_from_num_vertices, num_icosphere_vertices
+from sphericalvision.icosphere.locator import chunk_size
 from sphericalvision.icosphere.topology import coarse_vertex_ids
 from sphericalvision.tables import constant_table
 
@@ -47,10 +48,12 @@ def coarser_images(
         (torch.Size([1, 2, 3, 42]), tensor([1.]), tensor(True))
     """
     level = level_from_num_vertices(images.shape[-1])
-    visible = seen[:, :, None].to(images)
-    # As matrices: torch transposes these several times as fast as it permutes four dimensions.
-    rows = torch.cat((images * visible, visible), 2).flatten(0, 2).t().contiguous()
-    means = ring_mean(rows, level - 1).t().contiguous().unflatten(0, (*images.shape[:2], -1))
+    size, rows = chunk_size(images.device) // 8, []  # vertices at once, which stay in the cache of a CPU
+    for image, visible in zip(images.split(size, -1), seen[:, :, None].split(size, -1), strict=True):
+        visible = visible.to(image)
+        # As matrices: torch transposes these several times as fast as it permutes four dimensions.
+        rows.append(torch.cat((image * visible, visible), 2).flatten(0, 2).t())
+    means = ring_mean(torch.cat(rows), level - 1).t().contiguous().unflatten(0, (*images.shape[:2], -1))
     coarse_seen = seen[..., ids_of_coarser_level(level, level - 1, images.device)]
     values = means[:, :, :-1] / means[:, :, -1:].clamp(min=1e-6)
     return values * coarse_seen[:, :, None], coarse_seen

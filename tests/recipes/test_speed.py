@@ -71,15 +71,16 @@ STAGES = {
 
 
 @pytest.mark.slow
-def test_figures_of_a_gpu_are_made_on_any_device(tmp_path: Path) -> None:
-    """Everything runs that will on a GPU, but for the capture of CUDA graphs."""
+def test_figures_of_a_gpu_are_made_on_any_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Everything runs that will on a GPU, in smaller batches, but for the capture of CUDA graphs."""
+    monkeypatch.setattr("sphericalvision.recipes.speed.networks.BATCHES", (1, 2))  # 16 take 15 GB
     rows = measured(tmp_path, "groups=[gpu]", "image_sides=[64]", "device=cpu")
     parity = {row.name: row.median for row in rows if row.unit == "hypotheses"}
     assert parity["default"] == parity["level 7"] == 0  # one device with itself
     assert 0 < parity["default, float16"] < parity["default, bfloat16"] < 0.02
     passes = {row.title: row for row in rows if row.unit == "s"}
-    assert {f"IcoSweepNet 3/4: a forward pass of {batch}" for batch in (1, 16)} < set(passes)
-    assert {f"default: a training step of {batch}" for batch in (1, 16)} < set(passes)
+    assert {f"IcoSweepNet 3/4: a forward pass of {batch}" for batch in (1, 2)} < set(passes)
+    assert {f"default: a training step of {batch}" for batch in (1, 2)} < set(passes)
     assert all(row.median > 0 for row in passes.values())
 
 

@@ -55,8 +55,8 @@ def sample(net: DepthNetwork, batch: int = 1) -> tuple[torch.Tensor, Any]:
 
 
 SHIPPED: dict[str, tuple[Callable[[], DepthNetwork], int]] = {
-    "refinedsweepnet": (pretrained, 1779),
-    "refinedsweepnet, level 5": (lambda: pretrained().at_level(5), 1523),
+    "refinedsweepnet": (pretrained, 1780),
+    "refinedsweepnet, level 5": (lambda: pretrained().at_level(5), 1524),
     "icosweepnet-small": (lambda: pretrained("icosweepnet-small"), 411),
     "the paper's": (lambda: IcoSweepNet(4, 32, feature_channels=4), 464),
     "omnimvs": (lambda: OmniMVS(8, feature_channels=2, output_size=(16, 64)), 156),

@@ -158,11 +158,11 @@ def _doubts(camera: Camera) -> list[str]:
     center = getattr(camera, "principal_point", None)
     low = high = 1.0
     if bool(valid.all()):
-        lengths = ((pixels[1:] - pixels[0]).norm(dim=-1) / NEAR_AXIS).tolist()
-        low, high = min(lengths), max(lengths)
+        lengths = (pixels[1:] - pixels[0]).norm(dim=-1) / NEAR_AXIS
+        low, high = float(lengths.min()), float(lengths.max())
         border = torch.stack((pixels.new_tensor(width - 1.0), pixels[0, 1]))
         (x, _, z), seen = camera.unproject(border)
-        stretch = float(border[0] - pixels[0, 0]) / lengths[0] * float(z / x)
+        stretch = float((border[0] - pixels[0, 0]) / lengths[0] * z / x)  # tensors divide by lengths of 0
         if low <= SHORTEST * longest or high >= LONGEST * longest or high > LEAST_SQUARE * low:
             sentences.append(
                 f"the focal length {low:.4g} to {high:.4g} is implausible for an image of {width} x {height} (width x "

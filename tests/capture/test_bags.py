@@ -295,6 +295,9 @@ TOPICS: dict[str, tuple[list[str], tuple[str, str], dict[str, str] | None]] = {
         ("front", "front_wide"),
         {"front": "/front/image", "front_wide": "/front_wide/image"},
     ),
+    "a name that says more": (["/a_rear/image", "/b/image"], ("a", "b"), None),
+    "a number that says more": (["/a2/image", "/b/image"], ("a", "b"), None),
+    "words behind it": (["/a/rear/image", "/b/image"], ("a", "b"), None),
     "pictures for debugging are raw": (
         ["/view_1", "/view_2", "/a/image/compressed", "/b/image/compressed"],
         ("a", "b"),

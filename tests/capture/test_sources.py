@@ -486,6 +486,18 @@ def test_names_that_may_be_two_kinds_of_files_are_asked_about(
     assert not opened(images, frames=frames)[1]  # who names frames has chosen
 
 
+@pytest.mark.parametrize("start", ["rear-", "IMG_", ""])
+def test_a_word_of_all_frames_may_be_of_another_camera(tmp_path: Path, start: str) -> None:
+    for name, frame in itertools.product(RIG.names, ("1", "2") if start else ("rear_1", "mid_2")):
+        write_image(tmp_path / f"{name}_{start}{frame}.png", picture(1))
+    images = str(tmp_path)
+    if start == "rear-":
+        images = f"{tmp_path}/{{camera}}_rear-{{frame:01d}}.png"
+        with pytest.raises(ArgumentError, match=f"if rear is a part of its name.*{re.escape(images)}"):
+            open_source(str(tmp_path), RIG)
+    assert len(opened(images)[0].names(Selection()) or ()) == 2
+
+
 @pytest.mark.parametrize(
     ("digits", "expected"), [("01d", ["1", "2"]), ("03d", ["001"]), ("02d", ["001", "1", "2"])]
 )

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
-from itertools import islice
+from itertools import islice, zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ import numpy.typing as npt
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture.sources.frames import Recording
 from sphericalvision.capture.sources.moments import Clock, pair_moments
-from sphericalvision.capture.sources.patterns import labels_by_number
+from sphericalvision.capture.sources.patterns import is_called, labels_by_number
 from sphericalvision.core import (
     ArgumentError,
     FileFormatError,
@@ -385,7 +385,9 @@ def _topics(
         if topic == (raw if is_raw_better else packed):
             single.append(topic)
     own = {
-        name: sorted({chosen[name]} & set(topics)) if name in chosen else _topics_named(single, name)
+        name: sorted({chosen[name]} & set(topics))
+        if name in chosen
+        else [topic for topic in single if is_called(topic, name)]
         for name in used
     }
     single_topics = {topic for matches in own.values() if len(matches) == 1 for topic in matches}
@@ -403,31 +405,12 @@ def _topics(
     )
 
 
-def _topics_named(topics: Sequence[str], name: str) -> list[str]:
-    """Topics with a camera's name between slashes; where there are none, those with its words, ``/cam_front/image``."""
-    exact = [topic for topic in topics if name in topic.split("/")]
-    tokens = _tokens(name)
-    count = len(tokens)
-    return exact or [
-        topic
-        for topic in topics
-        if any(tokens == _tokens(topic)[at : at + count] for at in range(len(_tokens(topic)) - count + 1))
-    ]
-
-
-def _tokens(name: str) -> list[str]:
-    return re.findall(r"[a-z]+|\d+", name.lower())
-
-
 def _numbered(topics: Sequence[str]) -> dict[str, str]:
     """Number -> topic, of topics that differ in one number alone; none of others."""
-    split = [re.split(r"(\d+)", topic) for topic in topics]
-    if len({len(pieces) for pieces in split}) != 1:
-        return {}
-    differing = [at for at, pieces in enumerate(zip(*split, strict=True)) if len(set(pieces)) > 1]
-    if len(differing) != 1 or differing[0] % 2 == 0:
-        return {}
-    return {pieces[differing[0]]: topic for pieces, topic in zip(split, topics, strict=True)}
+    columns = zip_longest(*(re.split(r"(\d+)", topic) for topic in topics))
+    differing = [column for column in columns if len(set(column)) > 1]
+    is_numbered = len(differing) == 1 and all(text and text.isdecimal() for text in differing[0])
+    return dict(zip(differing[0], topics, strict=True)) if is_numbered else {}
 
 
 def _picture_of(message: Any, where: str) -> Picture:

@@ -39,20 +39,6 @@ class Selection(NamedTuple):
     stop: int | None = None
     every: int = 1
 
-    def __contains__(self, position: object) -> bool:
-        """Whether a position is selected.
-
-        Examples:
-            >>> [position for position in range(10) if position in Selection(2, 8, 3)]
-            [2, 5]
-        """
-        return (
-            isinstance(position, int)
-            and position >= self.start
-            and (self.stop is None or position < self.stop)
-            and (position - self.start) % self.every == 0
-        )
-
     def positions(self, count: int) -> range:
         """The selected positions of so many frames.
 
@@ -163,11 +149,9 @@ class Recording:
 
     def _split(self, picture: Any) -> dict[str, Any]:
         """The views in a picture of all, a tensor ``(c, h, w)`` or an array ``(h, w, c)``."""
-        if not isinstance(picture, Tensor):
-            views = split_views(picture, self.whole)
-            return {name: views[name] for name in self.rig.names}
-        views = split_views(picture.movedim(0, -1), self.whole)
-        return {name: views[name].movedim(-1, 0) for name in self.rig.names}
+        is_tensor = isinstance(picture, Tensor)
+        views = split_views(picture.movedim(0, -1) if is_tensor else picture, self.whole)
+        return {name: views[name].movedim(-1, 0) if is_tensor else views[name] for name in self.rig.names}
 
 
 def spread_evenly(names: Sequence[str], count: int) -> list[str]:

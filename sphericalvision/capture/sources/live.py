@@ -75,7 +75,8 @@ class LiveCameras:
                 grabbed = [camera.grab() for camera in cameras.values()]  # all of them, at one time
                 if not all(grabbed):
                     return
-                if number not in selection or not wanted(name := f"{number:06d}"):
+                is_selected = number in range(selection.start, number + 1, selection.every)
+                if not is_selected or not wanted(name := f"{number:06d}"):
                     continue
                 pictures = {camera: device.retrieve()[1] for camera, device in cameras.items()}
                 if lost := [self.devices[camera] for camera, picture in pictures.items() if picture is None]:

@@ -57,7 +57,7 @@ class _Opening:
     frames: Iterable[int | str] | None
     leave_out: Sequence[Path]
     tolerance: float
-    labels: Mapping[str, str] = field(default_factory=dict)
+    labels: dict[str, str] = field(default_factory=dict)
 
     def source(self, images: str) -> Source:
         """The source of what is no folder, by its name."""
@@ -94,9 +94,7 @@ class _Opening:
     def labels_of(self, pattern: str) -> dict[str, str]:
         """What ``{camera}`` stands for in a pattern, by camera name."""
         unlabelled = [name for name in self.used.names if name not in self.labels]
-        labels = dict(self.labels)
-        if unlabelled:
-            labels |= find_labels(pattern, self.rig.names, unlabelled, self.leave_out)
+        labels = self.labels | find_labels(pattern, self.rig.names, unlabelled, self.leave_out)
         labels = {name: labels[name] for name in self.used.names}
         if len(set(labels.values())) < len(labels):
             raise ArgumentError(f"cameras: expected files of its own for each camera, got {labels}")
@@ -142,7 +140,7 @@ def open_source(
         MissingFileError: there is nothing.
     """
     used = rig if cameras is None else rig.subset(list(cameras))
-    opening = _Opening(rig, used, frames, list(leave_out), tolerance, labels or {})
+    opening = _Opening(rig, used, frames, list(leave_out), tolerance, dict(labels or {}))
     path = Path(images).expanduser()
     source = _of_folder(path, opening) if path.is_dir() and bag_of(path) is None else opening.source(images)
     origins = ["/".join(path.parts[-3:]), *getattr(source, "topics", {}).values()]

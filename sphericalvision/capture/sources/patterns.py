@@ -7,7 +7,7 @@ import os
 import re
 import string
 import warnings
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Collection, Container, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from sphericalvision.capture.sources.listings import listed_clock
@@ -21,6 +21,22 @@ FREE_RUNNING = 0.25
 """Seconds by which pictures of one moment may differ that cameras take each by its own interval."""
 _NUMBER = re.compile(r"^-?\d+(?:\.\d+)*|\d+(?:\.\d+)*")
 """In a frame's name; a time with decimals is one."""
+_IMAGE_WORDS = (
+    "cam|camera|image|img|picture|frame|raw|rect|colou?r|rgb|bgr|mono|gr[ae]y|compressed|dsc|vid|dji|pxl"
+)
+"""What names of images say that is no part of a camera's name."""
+
+
+def is_called(name: str, camera: str) -> bool:
+    """Whether a name is a camera's and no other's: behind namespaces are the camera's words and those of images alone.
+
+    Examples:
+        >>> [is_called(topic, "left") for topic in ("/rig/cam_left/image_raw", "/left_rear/image_raw")]
+        [True, False]
+    """
+    images = rf"(?:(?:{_IMAGE_WORDS})[\W_]*)*"
+    words = r"[\W_]*".join(re.findall(r"[^\W\d_]+|\d+", camera.lower())) or re.escape(camera)
+    return re.fullmatch(rf"(?:.*/)?[\W_]*{images}{words}[\W_]*{images}", name.lower()) is not None
 
 
 def find_files(
@@ -103,15 +119,18 @@ def _say_if_taken_apart(frames: Sequence[Mapping[str, Path]], key: str) -> list[
     return []
 
 
-def _check_one_kind(files: Mapping[str, Iterable[str]], pattern: str, key: str) -> None:
+def _check_one_kind(files: Mapping[str, Collection[str]], pattern: str, key: str) -> None:
     """Refuse frames of which some are images and others what belongs to them: their depth, masks, thumbnails, copies.
 
     A camera has several names of the same numbers, and one name holds the other (``0001``, ``thumb_0001``, ``1``) or
     differs behind the numbers. Names of one number that differ otherwise (``Image0001`` and ``Depth0001``, ``0001`` and
     ``0001 (1)``), and names without one next to numbered ones (``latest``), may be frames of their own: a warning asks.
+    A word of all frames next to the camera may be of another camera's name (``left_rear_0001``).
     """
+    fault = "has several kinds of files, such as images and their depth or masks: {} and {}"
+    is_joined = re.search(r"\{camera[^/]*\{frame|\{frame[^/]*\{camera", pattern)
     doubt: tuple[str, str] | None = None
-    for own in files.values():
+    for camera, own in files.items():
         named: dict[tuple[str, ...], str] = {}
         for name in sorted(own, key=lambda name: (len(name), name)):
             numbers = tuple(number.lstrip("0") for number in _NUMBER.findall(name))
@@ -119,14 +138,20 @@ def _check_one_kind(files: Mapping[str, Iterable[str]], pattern: str, key: str) 
                 if (twin := named.get(numbers[:count])) is None:
                     continue
                 if count == len(numbers) and (twin in name or _up_to_number(twin) == _up_to_number(name)):
-                    raise ArgumentError(f"{key}: {_several_kinds(pattern, twin, name)}")
+                    raise ArgumentError(f"{key}: {_refusal(pattern, fault.format(twin, name), twin)}")
                 doubt = doubt or (twin, name)
             named.setdefault(numbers, name)
         if () in named and len(named) > 1:
             unnumbered = named.pop(())
             doubt = doubt or (min(named.values()), unnumbered)
+        words = [set(re.findall(r"(?<![^\W_])[^\W\d_]+(?![^\W_])", name)) for name in own]
+        more = sorted(set.intersection(*words)) if words and is_joined else []
+        if not is_called("_".join([camera, *more]), camera):
+            other = f"takes files of another camera for those of {camera}, if {'_'.join(more)} is a part of its name"
+            raise ArgumentError(f"{key}: {_refusal(pattern, other, min(own))}")
     if doubt:
-        warnings.warn(f"{key}: {_several_kinds(pattern, *doubt)}, unless all are frames", stacklevel=5)
+        sentence = _refusal(pattern, fault.format(*doubt), doubt[0])
+        warnings.warn(f"{key}: {sentence}, unless all are frames", stacklevel=5)
 
 
 def _up_to_number(name: str) -> str:
@@ -134,14 +159,11 @@ def _up_to_number(name: str) -> str:
     return re.sub(r"\D+$", "", name)
 
 
-def _several_kinds(pattern: str, name: str, other: str) -> str:
-    """A sentence on two kinds of files, with a pattern of one where a number is all of what differs in it."""
+def _refusal(pattern: str, fault: str, name: str) -> str:
+    """A sentence on a pattern, with one for the files called as a frame where a number is all of what differs."""
     digits = re.sub(r"\d+", lambda number: f"{{frame:0{len(number[0])}d}}", name)
     example = f", such as {pattern.replace('{frame}', digits)!r}" if digits.count("{") == 1 else ""
-    return (
-        f"{pattern!r} has several kinds of files, such as images and their depth or masks: {name} and {other}. Name "
-        f"one in the pattern{example}, or move the others"
-    )
+    return f"{pattern!r} {fault}. Name one in the pattern{example}, or move the others"
 
 
 def _clocks(files: Mapping[str, Mapping[str, Path]], labels: Mapping[str, str]) -> list[Clock]:

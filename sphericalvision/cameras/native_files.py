@@ -20,7 +20,7 @@ from torch import Tensor
 
 from sphericalvision.cameras.base import Camera, check_single
 from sphericalvision.cameras.registry import check_registered
-from sphericalvision.io.files import part_of_name
+from sphericalvision.io.files import part_of_name, refuse_folder
 from sphericalvision.io.images import write_mask
 from sphericalvision.io.yaml_files import write_yaml
 
@@ -67,15 +67,14 @@ def write_rig(
 ) -> None:
     """Write a rig as YAML, which ``read_rig`` reads, and its masks as ``<stem>_<name>_mask.png`` beside it."""
     path = Path(path)
-    for camera in cameras.values():  # before a mask is written
-        check_registered(camera)
-    entries = []
-    for (name, camera), pose in zip(cameras.items(), world_from_camera, strict=True):
-        values = {"name": name, **camera_to_dict(camera), "world_from_camera": pose.tolist()}
-        if name in masks:
-            values["mask"] = f"{path.stem}_{part_of_name(name)}_mask.png"
-            write_mask(path.parent / values["mask"], masks[name])
-        entries.append(values)
+    files = {name: {"mask": f"{path.stem}_{part_of_name(name)}_mask.png"} for name in masks}
+    entries = [
+        {"name": name, **camera_to_dict(camera), "world_from_camera": pose.tolist(), **files.get(name, {})}
+        for (name, camera), pose in zip(cameras.items(), world_from_camera, strict=True)
+    ]
+    refuse_folder(path)
+    for name, mask in masks.items():
+        write_mask(path.parent / files[name]["mask"], mask)
     write_yaml(path, {"format": RIG_FORMAT, "version": VERSION, "cameras": entries})
 
 

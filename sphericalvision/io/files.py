@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
-from sphericalvision.core import FileFormatError, MissingFileError
+from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
 
 
 def _machine() -> str:
@@ -47,6 +47,7 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
         path: what is to be written; missing folders are made.
 
     Raises:
+        ArgumentError: ``path`` is a folder.
         OSError: if the folder cannot be made or the file not be moved into place.
 
     Examples:
@@ -58,6 +59,7 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
         ['note.txt']
     """
     path = Path(path)
+    refuse_folder(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     _sweep(path.parent)
     temporary = path.with_name(f".{MACHINE}-{os.getpid()}-{uuid.uuid4().hex}{path.suffix}")
@@ -69,6 +71,12 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def refuse_folder(path: Path) -> None:
+    """Raise ``ArgumentError`` if a file is to be written where a folder is; to be asked before others are written."""
+    if path.is_dir():
+        raise ArgumentError(f"path: {path} is a folder; name a file in it")
 
 
 @cache

@@ -23,11 +23,11 @@ from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import (
     Lens,
     as_rig,
+    check_targets,
     lens_called,
     lens_of,
     models_of,
     numbers_of,
-    refuse_mask_of_another,
 )
 from sphericalvision.cameras.calibration.parsing import size_from_width_height
 from sphericalvision.cameras.calibration.poses import quaternion_from_rotation, transform_from_numbers
@@ -92,8 +92,8 @@ def write_basalt(cameras: Camera | CameraRig, path: str | Path) -> None:
     """
     path = Path(path)
     rig = as_rig(cameras)
-    for index, name in enumerate(rig.names):
-        refuse_mask_of_another(path.parent / f"cam{index}" / "mask.png", name, rig)
+    masks = {name: path.parent / f"cam{index}" / "mask.png" for index, name in enumerate(rig.names)}
+    check_targets(path, masks, rig)
     value0: dict[str, list[Any]] = {"T_imu_cam": [], "intrinsics": [], "resolution": []}
     for camera, pose in zip(rig.cameras.values(), rig.world_from_camera, strict=True):
         lens, parameters = lens_of(camera, _LENSES, "basalt")
@@ -104,9 +104,8 @@ def write_basalt(cameras: Camera | CameraRig, path: str | Path) -> None:
         position, quaternion = numbers_of(pose[:3, 3]), quaternion_from_rotation(pose[:3, :3])
         keys = (*_POSITION, *_QUATERNION)
         value0["T_imu_cam"].append(dict(zip(keys, position + quaternion, strict=True)))
-    for index, name in enumerate(rig.names):
-        if name in rig.masks:
-            write_mask(path.parent / f"cam{index}" / "mask.png", rig.masks[name])
+    for name, mask in rig.masks.items():
+        write_mask(masks[name], mask)
     write_json(path, {"value0": value0})
 
 

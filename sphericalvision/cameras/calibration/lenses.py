@@ -27,6 +27,7 @@ from sphericalvision.cameras.registry import camera_model
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.geometry.panorama import ALL_LATITUDES, ALL_LONGITUDES
+from sphericalvision.io.files import refuse_folder
 
 
 @dataclass(frozen=True)
@@ -237,12 +238,14 @@ def check_holds(format: str, camera: Camera) -> None:
         )
 
 
-def refuse_mask_of_another(path: Path, name: str, rig: CameraRig) -> None:
-    """Raise ``ArgumentError`` if a camera has no mask and ``path`` would be taken for it."""
-    if name not in rig.masks and path.is_file():
-        raise ArgumentError(
-            f"path: {path} would be taken for the mask of {name}, which has none; remove it, or write elsewhere"
-        )
+def check_targets(path: Path, masks: Mapping[str, Path], rig: CameraRig) -> None:
+    """Raise ``ArgumentError`` if a file cannot be written, or is taken for the mask of a camera that has none."""
+    refuse_folder(path)
+    for name, mask in masks.items():
+        if name not in rig.masks and mask.is_file():
+            raise ArgumentError(
+                f"path: {mask} would be taken for the mask of {name}, which has none; remove it, or write elsewhere"
+            )
 
 
 def numbers_of(tensor: Shaped[Tensor, " ..."]) -> list[float]:

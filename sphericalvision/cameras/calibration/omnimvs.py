@@ -16,7 +16,7 @@ from typing import Any
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
-from sphericalvision.cameras.calibration.lenses import refuse_mask_of_another
+from sphericalvision.cameras.calibration.lenses import check_targets
 from sphericalvision.cameras.calibration.ocam_text import counted, make_ocam, ocam_numbers
 from sphericalvision.cameras.calibration.parsing import size_from_width_height
 from sphericalvision.cameras.calibration.poses import axis_angle_from_rotation, transform_from_rotation_vector
@@ -75,10 +75,10 @@ def write_omnimvs(rig: CameraRig, path: str | Path) -> None:
     path = Path(path)
     numbered = all(re.fullmatch(r"cam\d+", name) for name in rig.names)
     ids = [int(name[3:]) if numbered else place for place, name in enumerate(rig.names, start=1)]
-    for cam_id, name in zip(ids, rig.names, strict=True):
-        refuse_mask_of_another(path.with_name(f"mask{cam_id}.png"), name, rig)
+    masks = {name: path.with_name(f"mask{cam_id}.png") for cam_id, name in zip(ids, rig.names, strict=True)}
+    check_targets(path, masks, rig)
     entries = []
-    for cam_id, pose, (name, camera) in zip(ids, rig.world_from_camera, rig.cameras.items(), strict=True):
+    for cam_id, pose, camera in zip(ids, rig.world_from_camera, rig.cameras.values(), strict=True):
         entries.append(
             {
                 "cam_id": cam_id,
@@ -90,8 +90,8 @@ def write_omnimvs(rig: CameraRig, path: str | Path) -> None:
                 "max_fov": math.degrees(2 * float(camera.max_angle)),
             }
         )
-        if name in rig.masks:
-            write_mask(path.with_name(f"mask{cam_id}.png"), ~rig.masks[name])
+    for name, mask in rig.masks.items():
+        write_mask(masks[name], ~mask)
     write_yaml(path, {"cameras": entries})
 
 

@@ -611,6 +611,8 @@ def test_images_of_a_fisheye_that_are_called_rectified_are_asked_about(
     (tmp_path / name).mkdir()
     images = as_counted_files(tmp_path / name, {camera: [1] for camera in RIG.names})
     assert any(name in sentence for sentence in opened(images)[1]) == is_told
+    as_files_named(tmp_path / "plain", [f"{name}_1"])
+    assert any(name in sentence for sentence in opened(str(tmp_path / "plain"))[1]) == is_told
     pinholes = {camera: PinholeCamera([50.0, 50.0], [24.0, 16.0], SIZE) for camera in RIG.names}
     assert not opened(images, CameraRig(pinholes, RIG.world_from_camera))[1]
 

@@ -143,7 +143,9 @@ def open_source(
     opening = _Opening(rig, used, frames, list(leave_out), tolerance, dict(labels or {}))
     path = Path(images).expanduser()
     source = _of_folder(path, opening) if path.is_dir() and bag_of(path) is None else opening.source(images)
-    origins = ["/".join(path.parts[-3:]), *getattr(source, "topics", {}).values()]
+    files = next(iter(getattr(source, "moments", {"": {}}).values()))
+    taken = [path, *getattr(source, "topics", files).values()]
+    origins = ["/".join(file.parts[-3:]) if isinstance(file, Path) else str(file) for file in taken]
     straight = next((origin for origin in origins if RECTIFIED.search(origin)), None)
     if straight and not all(isinstance(camera, PinholeCamera) for camera in used.cameras.values()):
         warnings.warn(

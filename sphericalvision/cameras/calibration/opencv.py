@@ -67,7 +67,7 @@ def recognizes(content: dict[str, Any]) -> bool:
     if "Camera.type" in content or "Camera.fx" in content:  # ORB-SLAM's, whose LEFT.K is of other images
         return False
     keys = [key for index in ("", "1") if (key := find(content, MATRIX, index))]
-    if any(len(key) > 2 or isinstance(content[key], Mapping | list) for key in keys):
+    if any(isinstance(content[key], Mapping | list) for key in keys):
         return True
     alone = {str(key).lower() for key in content} == {"r", "t"}
     return bool(

@@ -184,11 +184,7 @@ def rig_tables(program: RigProgram, like: RigProgram | None = None) -> dict[str,
         >>> torch.equal(one(images, rig_tables(other, like=one))[0], other(images)[0])
         True
     """
-    tables = {
-        name: table
-        for name, table in program.named_buffers()
-        if name != "rays" and not name.startswith("net.")
-    }
+    tables = {name: x for name, x in program.named_buffers() if not name.startswith(("net.", "rays"))}
     if like is not None:
         layout, expected = (_layout(one) for one in (program, like))
         if layout != expected:
@@ -208,10 +204,9 @@ def _layout(program: RigProgram) -> dict[str, str]:
 
 def example_images(program: RigProgram, batch: int = 1) -> Float[Tensor, "B n 3 *size"]:
     """Return random images of the shape and range that a program takes."""
-    if program.inputs == "sphere":
-        shape: tuple[int, ...] = program.seen.shape[1:]
-        return signed(torch.rand(batch, program.num_cameras, 3, *shape, device=program.seen.device))
-    return torch.rand(batch, program.num_cameras, 3, *program.image_size, device=program.seen.device)
+    size = program.image_size if program.inputs == "camera" else program.seen.shape[1:]
+    images = torch.rand(batch, program.num_cameras, 3, *size, device=program.seen.device)
+    return images if program.inputs == "camera" else signed(images)
 
 
 @contextmanager
@@ -264,6 +259,10 @@ def export_program(
         folded = with_constants_folded(traced.module(), *inputs)
         exported = torch.export.export(folded, inputs, dynamic_shapes=shapes, strict=False)
         exported.graph_module.meta[DESCRIPTION] = description(program)
+        # Of the images a file needs the shape, and of what is computed not the lines of Python that it is from.
+        exported.example_inputs = _pytree.tree_map(lambda x: x.new_zeros(()).expand(x.shape), (inputs, {}))
+        for node in exported.graph.nodes:
+            node.meta = {"val": node.meta.get("val")}
         if path is not None:
             with atomic_write(path) as temporary:
                 torch.export.save(exported, temporary)
@@ -298,15 +297,12 @@ def compile_program(exported: torch.export.ExportedProgram, path: str | Path) ->
             raise MissingCompilerError(
                 "compiled: needs a C++ compiler, g++ or clang++ (CXX names another); formats=[pt2,onnx] need none"
             ) from None
-        except TritonMissing:
-            raise MissingCompilerError(
-                "compiled: for device=cuda needs Triton (pip install triton)"
-            ) from None
-        except OSError as error:
-            if "CUDA_HOME" not in str(error):
+        except (TritonMissing, OSError) as error:
+            if isinstance(error, OSError) and "CUDA_HOME" not in str(error):
                 raise
             raise MissingCompilerError(
-                "compiled: for device=cuda needs the CUDA toolkit and its headers; CUDA_HOME names its folder"
+                "compiled: for device=cuda needs Triton (pip install triton), and the CUDA toolkit and its headers; "
+                "CUDA_HOME names its folder"
             ) from None
         Path(package).replace(path)
     _write_description(exported, path)
@@ -334,10 +330,12 @@ def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Pat
     except ImportError as error:
         raise ArgumentError(f"onnx: needs {error.name}: pip install onnx onnxscript onnxruntime") from None
 
+    # The converter's own take two and three nodes.
     def select_rows(values: Any, dim: int, index: Any) -> Any:
-        return opset18.Gather(
-            values, index, axis=dim
-        )  # the converter's own flattens and widens the index first
+        return opset18.Gather(values, index, axis=dim)
+
+    def unbind(values: Any, dim: int = 0) -> Any:
+        return [opset18.Gather(values, number, axis=dim) for number in range(values.shape[dim])]
 
     inputs, _ = exported.example_inputs
     with quiet(), atomic_write(path) as temporary:
@@ -348,7 +346,10 @@ def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Pat
             optimize=False,
             verbose=False,
             opset_version=OPSET,
-            custom_translation_table={torch.ops.aten.index_select.default: select_rows},
+            custom_translation_table={
+                torch.ops.aten.index_select.default: select_rows,
+                torch.ops.aten.unbind.int: unbind,
+            },
             input_names=["images", *(f"rig.{name}" for tables in inputs[1:] for name in tables)],
             output_names=OUTPUTS,
         )
@@ -358,6 +359,7 @@ def export_onnx(exported: torch.export.ExportedProgram, path: str | Path) -> Pat
         PassManager(
             [
                 common.RemoveUnusedNodesPass(),
+                common.LiftConstantsToInitializersPass(lift_all_constants=True, size_limit=0),
                 common.DeduplicateInitializersPass(size_limit=1 << 30),  # of 1,024 numbers by itself
                 common.CommonSubexpressionEliminationPass(),
                 common.ClearMetadataAndDocStringPass(),
@@ -373,9 +375,7 @@ def onnx_difference(path: str | Path, program: RigProgram, images: Float[Tensor,
     """Return by how much the inverse depth of an ONNX file by onnxruntime differs from a program's at most, in 1/m."""
     import onnxruntime
 
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = 3
-    session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
     tables = rig_tables(program) if program.tables == "inputs" else {}
     inputs = {"images": images, **{f"rig.{name}": table for name, table in tables.items()}}
     arrays = {node.name: inputs[node.name].cpu().numpy() for node in session.get_inputs()}

@@ -30,6 +30,7 @@ from sphericalvision.core import ArgumentError, MissingCompilerError
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.kernels import kernels
 from sphericalvision.models import DepthNetwork, IcoSweepNet, OmniMVS, RefinedSweepNet
+from sphericalvision.models.weights.files import STEP, with_bits
 from sphericalvision.scenes import make_scene, render_rig
 from sphericalvision.sphere import Equirectangular
 from sphericalvision.sweep import DepthEstimate
@@ -67,6 +68,7 @@ def check_for_tensorrt(path: Path) -> None:
 
     graph = onnx.shape_inference.infer_shapes(onnx.load(path)).graph
     assert {node.op_type for node in graph.node} <= set(TENSORRT.split()) - {"NonZero"}
+    assert len(graph.node) <= 4_000  # at level 7, with a panorama
     ranks = {info.name: len(info.type.tensor_type.shape.dim) for info in graph.value_info}
     constants = {tensor.name for tensor in graph.initializer}
     constants |= {name for node in graph.node if node.op_type == "Constant" for name in node.output}
@@ -209,6 +211,7 @@ class Bright(DepthNetwork):
 def exported_alike(program: RigProgram, folder: Path, tolerance: float) -> Path:
     """The ONNX file of a program; it and the exported graph compute what the program does."""
     exported = export_program(program, folder / "depth.pt2")
+    assert exported.example_inputs[0][0].untyped_storage().nbytes() == 4  # the file holds no images
     images = example_images(program)
     loaded = torch.export.load(folder / "depth.pt2").module()
     torch.testing.assert_close(loaded(images), program(images), rtol=tolerance, atol=tolerance)
@@ -369,6 +372,29 @@ def test_rows_of_zeros_are_not_stored() -> None:
     stored = [*folded.parameters(), *folded.buffers()]
     assert sum(tensor.nbytes for tensor in stored) < 0.6 * weights.nbytes
     torch.testing.assert_close(folded(-values), weights @ -values)
+
+
+def test_weights_of_eight_bits_are_stored_as_halves_and_tables_once() -> None:
+    convolution = torch.nn.Conv1d(64, 128, 3, bias=False)
+    kept = dict(with_bits("weight", convolution.weight.detach(), 8))
+    convolution.weight.data = kept["weight"] * kept["weight" + STEP]
+    table = torch.rand(1, 128, 300)
+
+    class Twice(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.convolution = convolution
+            self.register_buffer("table", table, persistent=False)
+
+        def forward(self, values: torch.Tensor) -> torch.Tensor:
+            return self.convolution(values) * (self.table * 2) + (self.table + self.table)
+
+    values = torch.rand(1, 64, 302)
+    program = torch.export.export(Twice(), (values,)).module()
+    folded = with_constants_folded(program, values)  # type: ignore[arg-type]
+    stored = [*folded.parameters(), *folded.buffers()]
+    assert sum(tensor.nbytes for tensor in stored) < 0.52 * convolution.weight.nbytes + 1.01 * table.nbytes
+    torch.testing.assert_close(folded(-values), Twice()(-values))
 
 
 def test_what_cannot_be_exported_is_told() -> None:

@@ -63,7 +63,7 @@ def save_weights(net: DepthNetwork, path: str | Path, bits: Literal[32, 16, 8] =
         net = inside  # type: ignore[assignment]
     metadata = {"format": PREFIX + network_name(net), "hyperparameters": json.dumps(net.hyperparameters)}
     state = {name: tensor.detach().cpu().contiguous() for name, tensor in net.state_dict().items()}
-    state = {name: kept for whole in state.items() for name, kept in _with_bits(*whole, bits)}
+    state = {name: kept for whole in state.items() for name, kept in with_bits(*whole, bits)}
     with atomic_write(path) as temporary:
         try:
             save_file(state, temporary, metadata)
@@ -85,7 +85,7 @@ def _sort_metadata(path: Path) -> None:
         file.write(text.ljust(size))
 
 
-def _with_bits(name: str, tensor: Tensor, bits: int) -> Iterator[tuple[str, Tensor]]:
+def with_bits(name: str, tensor: Tensor, bits: int) -> Iterator[tuple[str, Tensor]]:
     """A tensor as it is stored, and the steps that its numbers are counted in."""
     size = tensor.numel() if tensor.is_floating_point() else 0
     if bits == 8 and size >= LARGE:

@@ -17,6 +17,7 @@ from sphericalvision.cameras import (
     KannalaBrandtCamera,
     PinholeCamera,
     read_camera,
+    read_cameras,
     read_rig,
     read_trajectory,
     save_rig,
@@ -116,8 +117,10 @@ def test_numbers_of_calibrations_have_bounds(tmp_path: Path) -> None:
             read_camera(tmp_path / "cameras.txt", "cam1")
         assert len(told) == 1  # of the second camera it is probably as true
     stretched = TEXTS["lens.txt"].replace("1.0 0.0 0.0", "1000 0 0")
-    with pytest.warns(UserWarning, match="focal length "):
-        read_camera(dump(tmp_path / "lens.txt", stretched))
+    short = TEXTS["rig.yaml"].replace("[200.", "[2.")
+    for name, text in {"lens.txt": stretched, "rig.yaml": short}.items():
+        with pytest.warns(UserWarning, match="focal length "):
+            read_cameras(dump(tmp_path / name, text))
 
 
 @pytest.mark.parametrize(

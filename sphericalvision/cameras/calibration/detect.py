@@ -165,7 +165,7 @@ def _read(path: Path, options: Options) -> Contents:
             content.forget()
             calibration = format.contents_of_keys(content, path, options)
             check_understood(content, str(path), format.ignored)
-            return calibration if format.name == "native" else calibration.checked(path)
+            return calibration.checked(path)
     keys = f"; its keys are {', '.join(map(str, content))[:200]}" if isinstance(content, dict) else ""
     raise FileFormatError(f"{path}: {_likely_program(path)}; {known_formats()}{keys}")
 

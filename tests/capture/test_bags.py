@@ -54,7 +54,7 @@ def test_a_bag_is_read_by_its_folder_and_by_its_file(tmp_path: Path, storage: st
     of_topics(path, topics, storage=storage, has_others=True)
     paths = [path] if storage == "bag" else [path, next(path.glob(f"*.{storage}"))]
     if storage == "bag":
-        paths.append(shutil.copy(path, tmp_path / "other.bag.active"))  # its recorder was ended
+        paths.append(shutil.copy(path, tmp_path / "OTHER.BAG.active"))  # its recorder was ended
     else:
         paths.append(shutil.copy(paths[1], tmp_path / f"alone.{storage}"))  # without metadata.yaml
     for images in paths:

@@ -130,7 +130,7 @@ class Bag(Recording):
         from rosbags.typesys import Stores, get_typestore
 
         self.path = path
-        self._is_ros1 = ".bag" in path.suffixes
+        self._is_ros1 = ".bag" in Path(path.name.lower()).suffixes
         # Not the definitions in the bag, of which one of another topic that is damaged would end the reading.
         types = get_typestore(Stores.ROS1_NOETIC if self._is_ros1 else Stores.LATEST)
         self._deserialize = types.deserialize_ros1 if self._is_ros1 else types.deserialize_cdr

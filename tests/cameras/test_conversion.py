@@ -68,7 +68,8 @@ def gap(a: Camera, b: Camera, points: torch.Tensor) -> torch.Tensor:
 @pytest.mark.parametrize("name", MODELS)
 def test_a_camera_is_its_own_conversion(name: str) -> None:
     camera = double(MODELS[name](1.0))
-    conversion = convert(camera, to=type(camera))
+    limit = 0.9 * float(camera.max_angle) if "skew" in name else None  # no fit has one
+    conversion = convert(camera, to=type(camera), max_angle=limit)
     fitted = {  # an inverse polynomial; the sequential composition, which conversion makes
         "ocam exact": 0.01,
         "thin prism fisheye, additive": 0.05,
@@ -78,6 +79,7 @@ def test_a_camera_is_its_own_conversion(name: str) -> None:
     assert conversion.rms_error <= conversion.max_error
     assert type(conversion.camera) is type(camera)
     assert conversion.camera.image_size == camera.image_size
+    assert float(conversion.camera.max_angle) == pytest.approx(conversion.covered_angle)
 
 
 SAME_LENS: dict[str, tuple[Camera, type[Camera], dict[str, object]]] = {

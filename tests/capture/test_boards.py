@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy.ndimage import center_of_mass
 
 from sphericalvision.cameras import FisheyeCamera
 from sphericalvision.capture import AprilGrid, Charuco, Checkerboard, read_board
@@ -63,6 +64,14 @@ def test_corners_are_where_they_were_rendered(
         misses = torch.minimum(misses, (pixels - truth.pixels.flip(0)).norm(dim=-1))
     assert misses.median() < 0.125
     assert (misses < 0.5).double().mean() >= 0.8
+
+
+def test_pixels_of_an_enlarged_picture_are_those_of_the_picture() -> None:
+    rows, columns = np.mgrid[:40, :50]
+    spot = np.exp(-((rows - 12.3) ** 2 + (columns - 30.6) ** 2) / 8)
+    for picture, back in GRID._sized((255 * spot).round().astype(np.uint8)):
+        row, column = center_of_mass(picture)
+        assert back(np.array([column, row])) == pytest.approx([30.6, 12.3], abs=0.02)
 
 
 @pytest.mark.parametrize("turns", range(4))

@@ -222,6 +222,8 @@ def test_infinite_pixels_say_nothing(tmp_path: Path) -> None:
     assert torch.equal(read.on(GRID, rig).weight, expected.weight)
     around = HintFiles(str(tmp_path / "{frame}.tiff"), ["0"], rig, torch.eye(4))("0").views[0]
     torch.testing.assert_close(around.values, torch.full((8 * 32,), 1 / 3))
+    nowhere = Hint.of_directions(torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 2.0]]), torch.ones(2))
+    assert nowhere.views[0].rays.tolist() == [[0.0, 0.0, 1.0]]
 
 
 def test_points_of_a_map_or_in_millimetres_are_no_metres_from_the_rig() -> None:

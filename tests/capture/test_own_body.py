@@ -11,6 +11,7 @@ from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.capture import find_own_body
+from sphericalvision.capture.preparation import own_body
 
 SIZE, WIDTH = 96, 112
 RIG = ring_rig(2, image_size=(SIZE, WIDTH))
@@ -63,6 +64,14 @@ def test_exposure_and_noise_change_little() -> None:
     hidden = ~find_own_body(RIG, map(taken, range(20))).masks["cam1"] & SEEN
     assert (hidden & BODY).sum() > 0.9 * (BODY & SEEN).sum()
     assert (hidden & BODY).sum() > 0.65 * hidden.sum()
+
+
+def test_noise_is_estimated_as_what_gradients_of_smooth_noise_deviate_by() -> None:
+    view = own_body._CameraEdges(RIG, "cam1")
+    frames = np.random.default_rng(0).normal(0.5, 0.03, (40, SIZE, WIDTH)).astype(np.float32)
+    gradients = own_body._gradients([cv2.GaussianBlur(f, (0, 0), own_body.SMOOTH) for f in frames])
+    deviation = np.hypot(*gradients).mean(0)[view.inside].mean()
+    assert view._noise(frames) == pytest.approx(deviation, rel=0.1)
 
 
 def test_a_world_without_a_body_is_left_free() -> None:

@@ -155,6 +155,9 @@ def test_a_stage_without_the_one_before_says_which_file_is_missing(failing: Run,
     write_experiments(tmp_path / "mine")
     words = ("--config-dir", "mine", "experiment=small/coarse", *WORDS[1:])
     assert "prior.safetensors" in failing("train", *words)
+    last = tmp_path / "mine/experiment/small/hints.yaml"  # which does not say when it is done
+    last.write_text(re.sub("result: .*", "result: null", last.read_text()))
+    assert "small/hints: this experiment sets no result=" in failing("train", "--config-dir", "mine", *WORDS)
 
 
 def test_samples_larger_than_their_bound_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

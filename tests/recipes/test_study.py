@@ -36,7 +36,7 @@ from sphericalvision.recipes.evaluation.records import write_json
 from sphericalvision.recipes.evaluation.tables import Table, save_report
 from sphericalvision.recipes.study.models import median, study_models
 from sphericalvision.recipes.study.tilted_views import View, view_frames
-from sphericalvision.recipes.study.training import training_config
+from sphericalvision.recipes.study.training import differences, training_config
 from sphericalvision.recipes.training import stages
 from tests.recipes.tiny import Run, composed, typed
 from tests.worlds import recorded_frames
@@ -339,7 +339,8 @@ def test_trainings_of_a_preset_differ_in_the_model_alone(preset: str) -> None:
     own = ("omnithings=/data/omnithings", "data.root=/data/omnihouse") if preset == "paper" else ()
     with initialize_config_module("sphericalvision.conf", version_base="1.3"):
         config = compose("study", [f"study={preset}", *own])
-        trainings = [t.config for m in study_models(config) for t in m.trainings(config, Path())[:1]]
+        own_trainings = [t for m in study_models(config) for t in m.trainings(config, Path())[:1]]
+        trainings = [training.config for training in own_trainings]
         assert len(trainings) == 2
         for key in ("trainer", "optimizer", "scheduler", "loss", "data"):
             assert trainings[0][key] == trainings[1][key]
@@ -347,4 +348,7 @@ def test_trainings_of_a_preset_differ_in_the_model_alone(preset: str) -> None:
             assert training.model.min_depth == config.model.min_depth
             assert training.model.get("level", config.model.level) == config.model.level
         models = [build(training.model) for training in trainings]
+    assert not differences(own_trainings)
+    trainings[0].data.seed, trainings[0].trainer.max_steps = 7, 7
+    assert [note.split()[0] for note in differences(own_trainings)] == ["data.seed", "trainer.max_steps"]
     assert [type(net).__name__ for net in models] == ["IcoSweepNet", "OmniMVS"]

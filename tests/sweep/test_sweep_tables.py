@@ -11,7 +11,7 @@ import torch
 from sphericalvision.cameras import CameraRig, ring_rig
 from sphericalvision.geometry import transform_from_axis_angle
 from sphericalvision.icosphere import Icosphere, icosphere_vertices, locate
-from sphericalvision.kernels import reference_kernels
+from sphericalvision.kernels import kernels, reference_kernels
 from sphericalvision.sweep import PanoramaSweep, SphereSweep, SweepTables, inverse_depth_hypotheses
 from sphericalvision.sweep.sweep_tables import sweep_tables
 
@@ -58,10 +58,12 @@ def test_half_a_turn_ends_at_the_poles_and_includes_them(dtype: torch.dtype) -> 
     assert tables.seen[0, [0, -1]].all()
 
 
+@pytest.mark.parametrize("way", ["plain", "graph"])
 @pytest.mark.parametrize("level", [2, 4])
-def test_ids_and_weights_are_those_of_locate(level: int, generator: torch.Generator) -> None:
+def test_ids_and_weights_are_those_of_locate(level: int, way: str, generator: torch.Generator) -> None:
     rig, sweep = shaken_rig(generator, 3.8), SphereSweep(2, 6, 0.5, feature_level=level)
-    ids, weights, mask = sweep.tables(rig)
+    with kernels(way):
+        ids, weights, mask = sweep.tables(rig)
     with reference_kernels():
         found, shares = locate(rays_of(sweep, rig)[1:][mask[1:]], level)  # at infinity are vertices
     assert torch.equal(ids[1:][mask[1:]], found)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fixtures that every test may use."""
 
-from __future__ import annotations
-
 import gc
 import importlib
 import os

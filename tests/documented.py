@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the documentation's blocks say, what a reader brings, and the words that make command lines small."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import sys

@@ -5,8 +5,6 @@ python -m tests.house_numbers            # all of them
 python -m tests.house_numbers --chain    # beside them the longest chain of imports, and the files of a frame
 """
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys

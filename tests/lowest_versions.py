@@ -4,8 +4,6 @@
 ``make test-lowest`` installs these in an environment of its own and runs the core's tests there.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 import tomllib

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Python in a process of its own."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

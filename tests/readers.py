@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every reader of files, with a small file that it reads; `tests/test_generated_files.py` damages them."""
 
-from __future__ import annotations
-
 import tempfile
 import warnings
 from collections.abc import Callable

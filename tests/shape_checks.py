@@ -10,8 +10,6 @@ Arguments are looked at after the call, so that a function's own errors come fir
 (``torch.compile``, ``torch.export``) are not checked: their sizes may be symbols.
 """
 
-from __future__ import annotations
-
 import builtins
 import functools
 import inspect

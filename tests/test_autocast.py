@@ -5,8 +5,6 @@
 A new name or method is in one of the two tables.
 """
 
-from __future__ import annotations
-
 import inspect
 import math
 from collections.abc import Callable, Iterable, Mapping

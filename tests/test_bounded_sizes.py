@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Small files that say that they are large: each is refused in words before there is memory for what it says."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

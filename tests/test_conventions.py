@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """docs/conventions.md and the tests agree: each convention names its test, each such test is on the page."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every convolution, padding, crown layer and kept table under torch.compile, torch.export and in ONNX."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The documentation can be read: every page is found, every link leads somewhere, every block fits."""
 
-from __future__ import annotations
-
 import inspect
 import os
 import re

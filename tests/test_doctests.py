@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every example in a docstring runs and prints what it says."""
 
-from __future__ import annotations
-
 import doctest
 import importlib
 import pkgutil

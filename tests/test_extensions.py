@@ -4,8 +4,6 @@
 They lie in an empty folder, are found by their entry points, and used by command line without an edit in the tree.
 """
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

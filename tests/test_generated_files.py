@@ -5,8 +5,6 @@
 other places. What a reader cost is printed (``pytest -rP``).
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import random

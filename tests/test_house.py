@@ -4,8 +4,6 @@
 Every import counts for circles: at the top of a file, inside functions, and for type checkers only.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 import tomllib

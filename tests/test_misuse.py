@@ -4,8 +4,6 @@
 An error begins with the name of the argument, says what was expected and what came, and is of a type of the house.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from pathlib import Path

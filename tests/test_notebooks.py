@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tutorials as notebooks: all of their Python is there, and runs where IPython shows the pictures."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from types import ModuleType

@@ -6,8 +6,6 @@ The meta device shows what a machine without a GPU cannot: a tensor made on the 
 there is listed with its reason, so a new name is in one of the two tables.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What others do beside this package: broken plug-ins, threads, forks, compilers that hang or speak Latin-1."""
 
-from __future__ import annotations
-
 import os
 import signal
 import stat

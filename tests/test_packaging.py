@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is built is what is in the tree: packages, configs, weights, console scripts and import layers."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

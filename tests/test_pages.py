@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every page can be followed: its blocks are pasted one after the other into a folder, and each has a result."""
 
-from __future__ import annotations
-
 import ast
 import re
 import shutil

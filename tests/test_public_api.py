@@ -6,8 +6,6 @@ changes there is a decision, so the list is changed by hand or with
 `python tests/test_public_api.py > tests/public_api.txt` and read in review.
 """
 
-from __future__ import annotations
-
 import doctest
 import enum
 import importlib

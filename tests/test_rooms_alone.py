@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What importing each room loads: what it is made of, and nothing that only others need."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.processes import modules_after, python

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The built site in a browser: every page, in both schemes, wide and narrow; and its search."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

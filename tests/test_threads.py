@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Threads and memory: number by affinity and quotas, short waits, freed memory is kept, and what a user sets counts."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import sys

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Kernels in Triton return what operators of torch do: in Triton's interpreter, which needs no GPU."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Values of tests that are the same each time."""
 
-from __future__ import annotations
-
 import ast
 import math
 from collections.abc import Iterator, Mapping

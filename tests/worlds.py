@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Small worlds for tests: samples through one rig or random rigs, and frames as sets on disk hold them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Few large operators give the numbers of the others."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every operator and network of the crown by layers in torch, by operators in C++, and by the readable formulas."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The crown and its layers against numbers of the original authors' implementation."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hexagonal convolutions on vertices against a loop over true neighbours, and their laws under rotations."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Convolutions in six orientations: turned pictures give turned results; each orientation is a plain convolution."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Crown convolutions, norms and pooling against loops over vertices and planar layers of torch."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor, nn

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws of the crown layout: its geometry, and how unfolding and folding undo and mirror each other."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from hypothesis import given, settings

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Networks made of layers in a row on crowns, and maximum pooling."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import nn

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A small rig like that of the published sets, and frames of noise for it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

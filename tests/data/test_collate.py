@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Batches of samples."""
 
-from __future__ import annotations
-
 import torch
 
 from sphericalvision.cameras import ring_rig

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Both encodings of ground truth, against numbers worked out by hand and files written by OpenCV alone."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Mirrored samples are what the mirrored rig would have seen of the mirrored world."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Other cameras as OCam models: within the stated residual, both ways."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the writer writes has the published layout, and the reader reads it back."""
 
-from __future__ import annotations
-
 import math
 import re
 import shutil

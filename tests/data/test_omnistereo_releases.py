@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Splits against the published numbers; frames by number of digits; scales."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from pathlib import Path
 

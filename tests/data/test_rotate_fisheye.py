@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Images of turned cameras: against renderings of the turned rig, and what nobody saw stays unknown."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

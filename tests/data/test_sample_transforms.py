@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples onto the icosphere, and augmentations that change what they say and nothing else."""
 
-from __future__ import annotations
-
 import math
 import pickle
 from pathlib import Path

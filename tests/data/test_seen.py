@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What was seen travels with the values through every transform, data set and batch, and is never guessed from them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

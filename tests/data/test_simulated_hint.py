@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulated hints: near the truth, where the cameras see, for some samples; one in four of another scene."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rotation as an augmentation: everything turns together, is repeated and undone."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Depth of scanned points: against the exact depth of rendered scenes, and the files that points are read from."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from pathlib import Path

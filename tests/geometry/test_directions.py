@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Directions and angles, against numpy in float64 and against finite differences."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

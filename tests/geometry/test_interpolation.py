@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bilinear interpolation, against OpenCV, a plain loop and functions that it reproduces exactly."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import torch

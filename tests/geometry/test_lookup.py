@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lookups against sums written out and against interpolation without tables, in every way they are computed."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Means by id are what adding up and dividing by the count gives."""
 
-from __future__ import annotations
-
 import torch
 
 from sphericalvision.geometry.means_by_id import mean_by_id, means_by_id

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Roots of increasing functions, against plain bisection and closed forms."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

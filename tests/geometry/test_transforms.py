@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rigid transforms, against OpenCV's Rodrigues, matrix inversion and scipy-free quaternion algebra."""
 
-from __future__ import annotations
-
 import math
 
 import cv2

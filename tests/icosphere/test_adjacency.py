@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Edges, faces across edges, rings and discs, against sets built in plain loops."""
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Solid angles of faces, vertices and Voronoi cells, and normals, against Girard's theorem, counting and trimesh."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Between levels: parents and children, pooling, interpolation, and the order of plain subdivision."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Straight lines of the icosphere: every edge once, straight at every vertex, the same after any of its rotations."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

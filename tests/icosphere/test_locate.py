@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Point location against brute force over all faces, and its derivatives."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 
 import pytest

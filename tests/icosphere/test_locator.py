@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Location of many directions by tables gives the triangles and weights that the descent gives."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor

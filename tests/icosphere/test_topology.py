@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Counts, orientation and order of the vertices and faces of an icosphere."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

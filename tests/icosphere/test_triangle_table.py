@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The table of triangles against the mesh itself, and walks from wherever they begin."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 import torch.nn.functional as F

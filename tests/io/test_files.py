@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files appear whole or not at all: interrupted, on a full disk, beside readers, and with usual permissions."""
 
-from __future__ import annotations
-
 import os
 import resource
 import stat

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Images and masks survive the disk, failures say what is wrong, and no file makes the memory burst."""
 
-from __future__ import annotations
-
 import resource
 import struct
 import warnings

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Times are read from every spelling alike, and what is not at the same time is not brought together."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from time import gmtime, strftime
 

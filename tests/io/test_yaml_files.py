@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """YAML from strangers: bounded, one document, nothing run; numbers as people mean them."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Metrics against their definitions, written out in plain loops."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where errors count, against plain loops and a dense walk along the seams; the official protocol written out."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

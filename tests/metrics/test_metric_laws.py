@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every metric keeps, whatever the values: NaN is wrong, never right; what does not count has no influence."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Two processes that each see half of the images agree on the metrics of them all."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import torch

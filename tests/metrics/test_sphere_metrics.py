@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Metrics and losses weighted by solid angle: integrals known in closed form, plain loops, masks, processes."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

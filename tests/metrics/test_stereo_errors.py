@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Helvipad's metrics against plain numpy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Edges, thin things and flat surfaces of known scenes; intervals and sparsification against brute force."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

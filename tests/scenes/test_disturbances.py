@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What real cameras do to a frame, rigs drawn at random, and carriers in view."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

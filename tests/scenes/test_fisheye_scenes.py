@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples with the cameras' own images: only what is asked for, one cache, and turns that fit together."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

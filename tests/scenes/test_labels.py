@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What rays hit, in rooms that say what their surfaces are."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

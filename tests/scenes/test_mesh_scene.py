@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Meshes as scenes: exact depth and colours of all kinds."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

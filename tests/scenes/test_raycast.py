@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rays against primitives: laws of hits, normals and shadows."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

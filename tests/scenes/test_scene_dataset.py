@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rendered samples on the icosphere: entries, cache, and the exact five-fold rotation."""
 
-from __future__ import annotations
-
 import io
 import math
 import pickle

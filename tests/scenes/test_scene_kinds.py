@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What each kind of scene promises: sky at infinity, floors that mirror, bare walls, length, height."""
 
-from __future__ import annotations
-
 import math
 import statistics
 from dataclasses import fields, replace

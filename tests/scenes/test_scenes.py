@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenes: seeds, light and shadow, textures, and agreement of pictures with rays."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """RayPackets leave nothing out: depth and shadows against every ray tested with every primitive, in float64."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenes seen by cameras whose tilt is drawn for each: what studies train with, so that tilts are no surprise."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

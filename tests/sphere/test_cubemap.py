@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cube maps: their convention, their layouts, and images that come out of panoramas."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The equirectangular grid: convention, exactness at the seam and the poles, solid angles."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

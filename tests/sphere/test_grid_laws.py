@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws that every grid obeys, and resampling between every two of them."""
 
-from __future__ import annotations
-
 import inspect
 import math
 

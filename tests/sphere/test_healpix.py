@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """HEALPix against healpy where it is installed, and always against the formulas, literals and counts."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

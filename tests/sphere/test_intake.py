@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """``Intake``: ranges, what is seen, and that a network's own is the one it asks for."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import suppress
 

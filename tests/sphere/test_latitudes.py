@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Panoramas of all latitudes and of those near the horizon, and the pixel that is taken for a direction."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Padding of panoramas and cube maps against the directions that padded places look in, and seam-free networks."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Resampling between icosphere, panorama and camera: identity, rotation, convergence, masks."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """``Resample`` and what resampling does with cameras, masks, depth and gradients."""
 
-from __future__ import annotations
-
 import inspect
 import math
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Convolutions in tangent planes against gnomonic taps laid out by hand, in every way that they are computed."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

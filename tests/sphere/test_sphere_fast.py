@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The fast convolution of the sphere, and lookups, give the numbers of the reference."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Images brought from grid to grid and merged, and errors on them, where nothing has symmetry: one number each."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

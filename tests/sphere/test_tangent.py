@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tangent images: patches are perspective images, faces share them out, solid angles are cut by the faces."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Views of a panorama or a rig, functions of them, and the way back."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures of cameras and rigs show what they say: colours stand where the numbers are."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

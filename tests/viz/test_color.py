@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Colours follow inverse depth, ends and unknowns are what the docstrings say."""
 
-from __future__ import annotations
-
 import math
 
 import matplotlib

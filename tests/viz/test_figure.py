@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sheets and scale bars keep the pixels of the pictures they hold."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

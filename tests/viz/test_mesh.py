@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Meshes from depth on the icosphere."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Panoramas from icospheres and from a rig's images, and their pictures on disk."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

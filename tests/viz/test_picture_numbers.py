@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What pictures, meshes and drawings are made of, with their defaults: one number each."""
 
-from __future__ import annotations
-
 import importlib
 import re
 from collections.abc import Callable

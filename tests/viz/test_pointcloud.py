@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Point clouds lie where the depth says, and survive the disk."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where operators come from: compiled beside the work or waited for, kept in a cache that is checked."""
 
-from __future__ import annotations
-
 import logging
 import os
 import threading

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Operators in C++: convolutions by Winograd's algorithms along all dimensions, and what uses them."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor

@@ -35,13 +35,6 @@ MIN_ROUNDS, MAX_ROUNDS = 3, 50
 Run = Callable[[], Any]
 
 
-class Seconds(NamedTuple):
-    """Of one call, on the clock and of the CPU."""
-
-    wall: float
-    cpu: float
-
-
 class Comparison(NamedTuple):
     """Functions that do the same work.
 
@@ -49,8 +42,7 @@ class Comparison(NamedTuple):
         title: the work.
         runs: name -> function without arguments; ratios refer to the first.
         note: a line below the table.
-        unit: "s": functions are timed, or time other processes and return ``Seconds``; any other: they return a
-            measured number, and run once.
+        unit: "s": functions are timed; any other: they return a measured number, and run once.
     """
 
     title: str
@@ -89,7 +81,7 @@ def measure(comparison: Comparison, seconds: float = 2.0, min_rounds: int = MIN_
     Ratios are medians over rounds, so that both sides of a ratio have met the same state of the machine.
     """
     title, runs, note, unit = comparison
-    rounds: list[list[Seconds]] = []
+    rounds: list[list[tuple[float, float]]] = []  # seconds on the clock, and of the CPU
     if unit == "s":
         for run in runs.values():
             run()
@@ -98,7 +90,7 @@ def measure(comparison: Comparison, seconds: float = 2.0, min_rounds: int = MIN_
         ):
             rounds.append([_time(run) for run in runs.values()])
     else:  # a number, asked for once
-        rounds.append([Seconds(float(run()), 0.0) for run in runs.values()])
+        rounds.append([(float(run()), 0.0) for run in runs.values()])
     values, cpus = np.moveaxis(np.array(rounds), 2, 0)
     low, median, high = np.quantile(values, (0.25, 0.5, 0.75), axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):  # no memory at all is as good as none
@@ -111,11 +103,11 @@ def measure(comparison: Comparison, seconds: float = 2.0, min_rounds: int = MIN_
     ]
 
 
-def _time(run: Run) -> Seconds:
-    """Seconds of one call."""
+def _time(run: Run) -> tuple[float, float]:
+    """Seconds of one call, on the clock and of the CPU."""
     wall, cpu = timer(), time.process_time()
-    result = run()
-    return result if isinstance(result, Seconds) else Seconds(timer() - wall, time.process_time() - cpu)
+    run()
+    return timer() - wall, time.process_time() - cpu
 
 
 def ways(run: Run, options: Sequence[str], device: torch.device, inference: bool = True) -> dict[str, Run]:

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import json
 import math
-import subprocess
-import sys
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -31,13 +29,12 @@ from sphericalvision.recipes.speed.measuring import (
     OURS,
     Comparison,
     Measurement,
-    Seconds,
     comparison_table,
     measure,
     ways,
 )
-from sphericalvision.recipes.speed.networks import network
 from sphericalvision.sweep import inverse_depth_from_index
+from tests.processes import python
 from tests.recipes.test_depth_benchmark import TINY
 from tests.recipes.tiny import composed
 
@@ -98,27 +95,12 @@ def test_tables_hold_every_stage(tmp_path: Path) -> None:
     assert inference["plain"].ratio == 1
 
 
-def test_ways_give_the_same_numbers() -> None:
-    compared = 0
-    for comparison in network(config("options=[layers,bf16]"), CPU):
-        if "cost volume" in comparison.title:
-            plain, *others = (run().values for name, run in comparison.runs.items() if "bf16" not in name)
-        elif "regulariser" in comparison.title or "whole" in comparison.title:
-            plain, *others = (run() for name, run in comparison.runs.items() if "bf16" not in name)
-            half = comparison.runs[f"{OURS}, bf16"]()
-            torch.testing.assert_close(half.float(), plain, rtol=0.1, atol=0.1)
-            assert not torch.equal(half.float(), others[0])
-        else:
-            continue
-        compared += len(others)
-        for other in others:
-            torch.testing.assert_close(other, plain, rtol=0, atol=1e-4)
-    assert compared == 6
-    assert {name: run() for name, run in ways(kernel_mode, ["layers"], CPU).items()} == {
-        "plain": "reference",
-        OURS: kernel_mode(),
-        f"{OURS}, layers": "plain",
-    }
+def test_ways_are_modes_of_the_kernels_and_a_precision() -> None:
+    """Which give the same numbers, as tests of the kernels say."""
+    modes = {name: run() for name, run in ways(kernel_mode, ["layers"], CPU).items()}
+    assert modes == {"plain": "reference", OURS: kernel_mode(), f"{OURS}, layers": "plain"}
+    product = ways(lambda: torch.ones(2, 2) @ torch.ones(2, 2), ["bf16"], CPU)
+    assert product[f"{OURS}, bf16"]().dtype == torch.bfloat16
 
 
 def test_what_functions_report_is_asked_once_and_not_timed() -> None:
@@ -144,27 +126,15 @@ def test_ratio_is_the_first_time_over_ones_own(monkeypatch: pytest.MonkeyPatch) 
     assert slow.cpu < 0.01  # the clock moves without work
 
 
-def test_what_other_processes_timed_themselves_counts() -> None:
-    runs = {"one": lambda: Seconds(2.0, 3.0), "other": lambda: Seconds(0.5, 1.0)}
-    rows = measure(Comparison("frames", runs))
-    assert [(row.median, row.ratio, row.cpu, row.unit) for row in rows] == [(2, 1, 3, "s"), (0.5, 4, 1, "s")]
-
-
 def test_memory_is_the_most_that_is_held_at_once() -> None:
-    assert fresh_memory("for _ in range(2): torch.zeros(10**8)") == pytest.approx(400, abs=5)
-
-
-def fresh_memory(statement: str) -> float:
-    """MB that a statement adds, in a process of its own: the system counts what all threads take and give back."""
-    code = f"""
+    """In a process of its own: the system counts what all threads take and give back."""
+    code = """
 import torch
 from sphericalvision.recipes.speed.measuring import added_memory
 def run():
-    {statement}
+    for _ in range(2): torch.zeros(10**8)
 print(added_memory(run, torch.device("cpu")))"""
-    return float(
-        subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
-    )
+    assert float(python("-c", code)) == pytest.approx(400, abs=5)
 
 
 def test_presets_are_those_of_predict(monkeypatch: pytest.MonkeyPatch) -> None:

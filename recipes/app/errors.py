@@ -33,13 +33,14 @@ def refuse(message: str) -> NoReturn:
 
 
 @contextmanager
-def plain_errors(on_closed_pipe: str | None = None) -> Iterator[None]:
+def plain_errors(on_closed_pipe: str | None = None, failure: Path | None = None) -> Iterator[None]:
     """Print errors that a user can mend without their traceback and exit with status 1.
 
     Other errors are faults of the program and pass; with ``HYDRA_FULL_ERROR=1`` all do.
 
     Args:
         on_closed_pipe: printed where the reader of the output is gone, as in "... --help | head -1".
+        failure: file for why a run of a sweep failed; the sweep goes on after any error.
     """
     try:
         try:
@@ -52,9 +53,16 @@ def plain_errors(on_closed_pipe: str | None = None) -> Iterator[None]:
         raise SystemExit(128 + 13) from None  # as a program that SIGPIPE ends
     except Exception as error:
         message = _message(error)
-        if message is None or os.environ.get("HYDRA_FULL_ERROR") == "1":
+        is_fault = message is None or os.environ.get("HYDRA_FULL_ERROR") == "1"
+        message = message or f"{type(error).__name__}: {error}"
+        if failure is None and is_fault:
             raise
-        refuse(message)
+        if failure is None:
+            refuse(message)
+        if is_fault:
+            traceback.print_exception(error)
+        failure.write_text(message + "\n")
+        print(f"\nError: {message}", file=sys.stderr)
 
 
 def _flush() -> None:
@@ -65,24 +73,6 @@ def _flush() -> None:
         with suppress(OSError, ValueError):  # the buffer is still full, and goes nowhere
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise
-
-
-@contextmanager
-def report_failure(folder: Path) -> Iterator[None]:
-    """Print why a run of a sweep failed, and write it to its folder; the sweep goes on."""
-    file = folder / FAILURE
-    file.unlink(missing_ok=True)  # of an earlier sweep
-    try:
-        yield
-    except BrokenPipeError:
-        raise
-    except Exception as error:
-        message = _message(error)
-        if message is None or os.environ.get("HYDRA_FULL_ERROR") == "1":
-            traceback.print_exception(error)
-        message = message or f"{type(error).__name__}: {error}"
-        file.write_text(message + "\n")
-        print(f"\nError: {message}", file=sys.stderr)
 
 
 def override_message(error: Exception, command: str, words: Sequence[str]) -> str:

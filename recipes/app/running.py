@@ -38,7 +38,6 @@ from sphericalvision.recipes.app.errors import (
     override_message,
     plain_errors,
     refuse,
-    report_failure,
     several_processes,
 )
 from sphericalvision.recipes.app.help import print_help
@@ -185,9 +184,10 @@ def do_work(command: Any, own_files: Path | None, config: DictConfig) -> Any:
     """
     run = HydraConfig.get()
     closed = "stdout: its reader is gone, and results may be incomplete; redirect the output to a file"
-    with (
-        report_failure(Path(run.runtime.output_dir)) if run.mode == RunMode.MULTIRUN else plain_errors(closed)
-    ):
+    failure = Path(run.runtime.output_dir, FAILURE) if run.mode == RunMode.MULTIRUN else None
+    if failure is not None:
+        failure.unlink(missing_ok=True)  # of an earlier sweep
+    with plain_errors(closed, failure):
         import_torch()
         if own_files is not None:
             from sphericalvision.recipes.app.own_files import import_own_files

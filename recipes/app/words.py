@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import json
 import os
 import re
 import shlex
@@ -121,20 +122,6 @@ def resume_command(last: Path, max_steps: int | None = None) -> str:
     return shlex.join(["sphericalvision-train", *own_configs(), *overrides])
 
 
-def _without_spaces(value: Any) -> str:
-    """Write a number, a list or None as Hydra reads it; texts in a list are quoted.
-
-    Examples:
-        >>> _without_spaces(["a b", 3, None]), _without_spaces(None)
-        ("['a b',3,null]", 'null')
-    """
-    if isinstance(value, str):
-        return "'" + value.replace("'", "\\'") + "'"
-    if OmegaConf.is_list(value) or isinstance(value, list):
-        return f"[{','.join(map(_without_spaces, value))}]"
-    return str(value).replace(" ", "").replace("None", "null")
-
-
 def own_configs() -> list[str]:
     """Return the flag ``--config-dir`` of this run, if it has one."""
     sources = HydraConfig.get().runtime.config_sources
@@ -146,12 +133,13 @@ def evaluate_command(best: Path, config: DictConfig, of_training: Sequence[str])
     choices = HydraConfig.get().runtime.choices
     groups = [f"data={choices['data']}"] + ([f"rig={choices['rig']}"] if "rig" in config.data else [])
     usual = compose("evaluate", groups)
-    names = {group: set(usual[group]) for group in ("rig", "data")}  # "in" says no to keys that lack a value
+    values: Any = {group: OmegaConf.to_container(config[group], resolve=True) for group in ("rig", "data")}
     changes = [
-        f"{group}.{key}={value if isinstance(value, str) else _without_spaces(value)}"
-        for group, keys in names.items()
-        for key, value in config[group].items()
-        if key in keys and key != "rig" and (group == "rig" or key not in of_training)
+        f"{group}.{key}={value if isinstance(value, str) else json.dumps(value, separators=(',', ':'))}"
+        for group in ("rig", "data")
+        for key, value in values[group].items()
+        if key in set(usual[group])  # "in" of a config says no to keys that lack a value
+        if key != "rig" and (group == "rig" or key not in of_training)
         if group == "data" or "rig" in config.data
         if OmegaConf.is_missing(usual[group], key) or usual[group][key] != value
     ]

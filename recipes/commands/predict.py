@@ -15,7 +15,6 @@ import torch
 from annotated_types import Ge
 from omegaconf import OmegaConf
 from pydantic.dataclasses import dataclass
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, Trajectory, read_rig, save_rig
@@ -48,6 +47,7 @@ from sphericalvision.recipes.app.cli import (
     print_config,
     read_settings,
     say,
+    track,
 )
 from sphericalvision.recipes.app.kinds import STRICT, Count, Device, Fraction, OnlyWith, Positive, Text
 from sphericalvision.sphere.intake import as_photographs
@@ -389,20 +389,14 @@ def run(
     errors: list[str] = []
     count, busy, began = 0, 0.0, time.perf_counter()
     total = None if remaining is None else len(remaining)
-    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[speed]}"), TimeRemainingColumn())
     estimates = estimate_frames(source, selection, predictor, selected, total, hints)
     try:
         with (
             closing(ordered_map(write, estimates, 1, waiting=2, finish=True)) as results,
             closing(estimates),  # type: ignore[type-var]
-            Progress(
-                TextColumn("estimating depth"), *columns, console=console, refresh_per_second=4
-            ) as progress,
         ):
-            task = progress.add_task("", total=total, speed="")
-            for frame, depth, seconds in results:
-                if not selected(frame.name):
-                    continue
+            chosen = (result for result in results if selected(result.frame.name))
+            for frame, depth, seconds in track(chosen, "estimating depth", total):
                 if depth is not None:
                     if not count:
                         for sentence in depth.compensations[0].described() if depth.compensations else ():
@@ -414,8 +408,6 @@ def run(
                     if str(frame.error) not in errors:  # many frames may be missing for one reason
                         say(f"left out: {frame.error}", style="yellow")
                     errors.append(str(frame.error))
-                speed = f"{count / (time.perf_counter() - began):.2f} frames/s"
-                progress.update(task, advance=1, speed=speed)
     except KeyboardInterrupt:
         if not source.live:  # live cameras have no other end
             raise

@@ -72,7 +72,7 @@ def benchmark(config: BenchmarkConfig, folder: Path) -> Results:
     numbers = range(config.first_frame, config.first_frame + config.frames)
     cache = None if config.cache_dir is None else Path(config.cache_dir).absolute()
     words, tracks = tuple(config.methods), chosen_tracks(config.tracks, config.meshes)
-    methods = _methods(words, size.level, folder)
+    methods = _methods(words, size.level)
     sets = [TrackFrames(track, numbers, size, cache) for track in tracks]
     console.print(
         f"{len(tracks)} tracks, {config.frames} scenes each, {len(methods)} methods", highlight=False
@@ -167,7 +167,7 @@ def _measure(
     frames: TrackFrames, words: tuple[str, ...], folder: Path, rows: int, max_depth: Limit
 ) -> dict[str, Record]:
     """Measure a track and draw its page; returns the records of its frames by method."""
-    records = run_track(frames, _methods(words, frames.size.level, folder), folder, max_depth)
+    records = run_track(frames, _methods(words, frames.size.level), folder, max_depth)
     page = folder / "pages" / f"{frames.track.name}.png"
     key = {name: record.key for name, record in records.items()} | {"rows": rows, "frames": frames.drawn}
     stored: Any = None
@@ -194,8 +194,8 @@ def _drawn(frames: TrackFrames, name: str, records: Mapping[str, Record], rows: 
 
 
 @lru_cache(maxsize=1)
-def _methods(words: tuple[str, ...], level: int, folder: Path) -> list[Method]:
+def _methods(words: tuple[str, ...], level: int) -> list[Method]:
     """Made once in a process."""
-    methods = [make_method(word, level, folder=folder) for word in words]
+    methods = [make_method(word, level) for word in words]
     check_names(methods)
     return methods

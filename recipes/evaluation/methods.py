@@ -6,7 +6,7 @@ from __future__ import annotations
 import copy
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -14,10 +14,11 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Subset
 
+from sphericalvision import __version__
 from sphericalvision.cameras import CameraRig
 from sphericalvision.capture import Predictor, align_rig
 from sphericalvision.capture.preparation.preparation import AS_IT_IS, Preparation
-from sphericalvision.core import ArgumentError, SphericalVisionError
+from sphericalvision.core import ArgumentError
 from sphericalvision.data import SampleView
 from sphericalvision.kernels import reference_kernels
 from sphericalvision.models import (
@@ -25,8 +26,6 @@ from sphericalvision.models import (
     DepthNetwork,
     SemiGlobalSweep,
     WinnerTakesAll,
-    load_weights,
-    save_weights,
 )
 from sphericalvision.models.weights.checkpoints import read_network
 from sphericalvision.models.weights.files import identity_of
@@ -273,7 +272,7 @@ def check_names(methods: Sequence[Method]) -> None:
             raise ArgumentError(f"methods: {name} is given twice; rename one of the files")
 
 
-def make_method(word: str, level: int = 6, scale: Scale = SCALE, folder: Path | None = None) -> Method:
+def make_method(word: str, level: int = 6, scale: Scale = SCALE) -> Method:
     """The method that a word names.
 
     Args:
@@ -281,35 +280,25 @@ def make_method(word: str, level: int = 6, scale: Scale = SCALE, folder: Path | 
             file of weights.
         level: of the images, for methods without training.
         scale: their hypotheses; a network has its own number of them from the same nearest depth.
-        folder: where the constant map is stored.
 
     Raises:
         MissingFileError: neither a name nor a file.
     """
-    net: DepthNetwork
     if word == "constant":
-        net = _scene_median(level, scale, folder)
-    elif word in UNTRAINED:
-        net = UNTRAINED[word](level, *scale)
-    else:
-        net = read_network(word).with_changes(min_depth=scale.min_depth)
+        # It takes a quarter of a minute, so it is made when the first frame is estimated, and known without that.
+        identity = [word, __version__, TRAINING_SCENES, level, *scale]
+        return Method(word, partial(_scene_median, level, scale), identity=identity)
+    if word in UNTRAINED:
+        return Method(word, UNTRAINED[word](level, *scale))
+    net = read_network(word).with_changes(min_depth=scale.min_depth)
     return Method(Path(word).stem if Path(word).suffix else word, net)
 
 
-def _scene_median(level: int, scale: Scale, folder: Path | None) -> DepthNetwork:
-    """The median of the training scenes, stored in ``folder``: it takes a quarter of a minute."""
-    path = None if folder is None else folder / f"constant-{level}-{TRAINING_SCENES}.safetensors"
-    if path is not None and path.is_file():
-        try:
-            return load_weights(path)
-        except SphericalVisionError:
-            pass  # damaged, so it is computed again
+def _scene_median(level: int, scale: Scale) -> DepthNetwork:
+    """The median of the training scenes."""
     assert TRAINING_SCENES < HELD_OUT_SEED
     directions = ConstantDepth(level, *scale).grid.directions
     scenes = [make_scene(kind_of(TURNS, seed), seed) for seed in range(TRAINING_SCENES)]
     inverse = torch.stack([ray_depth(scene, torch.zeros(3), directions).reciprocal() for scene in scenes])
     everywhere = torch.ones_like(inverse, dtype=torch.bool)
-    net = baselines(scale, level, [{"inverse_depth": inverse, "valid": everywhere}])[0].net
-    if path is not None:
-        save_weights(net, path)
-    return net
+    return baselines(scale, level, [{"inverse_depth": inverse, "valid": everywhere}])[0].net

@@ -16,11 +16,9 @@ from torch.utils.data import DataLoader
 
 from sphericalvision.cameras import CameraRig, EquirectangularCamera
 from sphericalvision.cameras.fingerprint import rig_fingerprint
-from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError
+from sphericalvision.core import ArgumentError
 from sphericalvision.data import write_omnistereo
-from sphericalvision.data.omnistereo.ground_truth import read_ground_truth
-from sphericalvision.data.omnistereo.releases import RELEASES, Release
-from sphericalvision.io.images import read_image
+from sphericalvision.data.omnistereo.releases import RELEASES
 from sphericalvision.io.yaml_files import write_yaml
 from sphericalvision.recipes.app.cli import (
     build,
@@ -129,23 +127,8 @@ def settings_of(config: RenderConfig, rig: CameraRig, release: str) -> dict[str,
 
 
 def missing_frames(root: Path, frames: range, release: str, num_cameras: int) -> list[int]:
-    """Return the frames of which ``root`` lacks a file, or holds one that cannot be read."""
+    """Return the frames of which ``root`` lacks a file; each appears when it is whole."""
     layout = RELEASES[release]
-
-    def files_of(frame: int) -> list[Path]:
-        images = [root / f"cam{number + 1}" / f"{frame:05d}.png" for number in range(num_cameras)]
-        return [*images, root / layout.ground_truth_folder / f"{frame:05d}{layout.suffix}"]
-
-    reading = track(frames, "reading existing frames", disable=not root.is_dir())
-    return [frame for frame in reading if not _can_be_read(files_of(frame), layout)]
-
-
-def _can_be_read(files: list[Path], layout: Release) -> bool:
-    """Tell whether images and, last, ground truth of a frame are whole: a full disk may have left them empty."""
-    try:
-        for path in files[:-1]:
-            read_image(path)
-        read_ground_truth(files[-1], layout.min_depth)
-    except (FileFormatError, MissingFileError):
-        return False
-    return True
+    names = [f"cam{number + 1}/{{:05d}}.png" for number in range(num_cameras)]
+    names.append(f"{layout.ground_truth_folder}/{{:05d}}{layout.suffix}")
+    return [frame for frame in frames if not all((root / name.format(frame)).is_file() for name in names)]

@@ -93,31 +93,17 @@ def test_a_world_whose_z_is_up_and_a_robots_frame(run: Run, tmp_path: Path) -> N
     }
     said, results = {}, {}
     for name, words in outputs.items():
-        more = f"output={name} {COARSE} outputs=[npz,cloud,fused,mesh]"
+        more = f"output={name} {COARSE} outputs=[npz,cloud]"
         said[name] = run("predict", *typed(f"{words} images=c {more}"))
         (npz,) = (tmp_path / name).glob("*depth.npz")
         (ply,) = (tmp_path / name).glob("*points.ply")
-        results[name] = (
-            np.load(npz),
-            trimesh.load(ply).vertices,
-            trimesh.load(tmp_path / name / "fused.ply").vertices,
-        )
+        results[name] = np.load(npz), trimesh.load(ply).vertices
     assert "mean down is 90° from the world's down" in said["sideways"]
     assert not any("mean down" in said[name] for name in ("clean", "upright", "robot"))
     for name in ("upright", "robot"):
         np.testing.assert_allclose(results[name][0]["index"], results["clean"][0]["index"], atol=1e-2)
     in_base = trimesh.transform_points(results["clean"][1], base_from_rig.numpy())
     np.testing.assert_allclose(results["robot"][1], in_base, atol=1e-2)
-    assert abs(np.median(results["robot"][2], 0) - np.median(in_base, 0)).max() < 0.3
-    meshes = {}
-    for name in ("clean", "robot"):
-        (ply,) = (tmp_path / name).glob("*mesh.ply")
-        meshes[name] = trimesh.load(ply), trimesh.load(ply.with_suffix(".glb"), force="mesh")
-        assert (meshes[name][0].visual.vertex_colors[:, :3].std(0) > 1).all()
-    moved = trimesh.transform_points(meshes["clean"][0].vertices, base_from_rig.numpy())
-    np.testing.assert_allclose(meshes["robot"][0].vertices, moved, atol=1e-2)
-    upright = meshes["clean"][0].vertices * [1, -1, -1]
-    np.testing.assert_allclose(meshes["clean"][1].vertices, upright, atol=1e-4)
 
 
 def test_a_field_of_view_that_the_calibration_does_not_tell_is_that_of_the_images(

@@ -320,11 +320,7 @@ def test_frames_become_one_cloud_which_a_continuation_goes_on_with(
     run("predict", *words, "output=again", "stop=1")
     assert "1 frame(s) are complete in " in run("predict", *words, "output=again", "skip_existing=true")
     assert (tmp_path / "again/fused.ply").read_bytes() == whole
-    with np.load(tmp_path / "again/fused.npz") as state:
-        assert state["frames"].tolist() == ["10.204", "10.304", "10.404"]
     cloud = trimesh.load(tmp_path / "out/fused.ply").vertices
-    turned = trimesh.load(tmp_path / "out/fused.glb").geometry.popitem()[1].vertices
-    np.testing.assert_allclose(np.sort(turned[:, 1]), np.sort(-cloud[:, 1]), atol=1e-6)  # y is up
     far = torch.from_numpy(cloud).float() - torch.tensor([0.1, 0, 0.3])
     truth = ray_depth(SCENE, torch.tensor([0.1, 0, 0.3]), torch.nn.functional.normalize(far, dim=-1))
     assert (far.norm(dim=-1) / truth).log().abs().median() < 0.15

@@ -50,6 +50,8 @@ def test_the_digits_are_scikit_learns() -> None:
     assert images.shape == (NUM_DIGITS, 1, 8, 8)
     assert labels.bincount().tolist() == [178, 182, 177, 183, 181, 182, 181, 179, 174, 180]
     assert (images.min(), images.max()) == (0, 1)
+    digits = SphericalDigits(range(7, 9), Icosphere(2), "upright", math.radians(120))
+    assert [digits[k]["label"] for k in (0, 1)] == labels[7:9].tolist()
 
 
 def test_a_picture_stands_upright_ahead() -> None:

@@ -18,7 +18,7 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 from sphericalvision.capture.calibrating.boards import AprilGrid, Charuco, Checkerboard, read_board
-from sphericalvision.core import ArgumentError, FileFormatError, SphericalVisionError, short_repr
+from sphericalvision.core import FileFormatError, SphericalVisionError, short_repr
 from sphericalvision.data import truth_from_points
 from sphericalvision.data.point_files import read_points
 from sphericalvision.icosphere import Icosphere
@@ -158,13 +158,6 @@ def test_truth_of_parts_is_that_of_the_whole(monkeypatch: pytest.MonkeyPatch) ->
     parts = truth_from_points(points, Icosphere(3))
     assert torch.equal(parts.depth, whole.depth)
     assert torch.equal(parts.valid, whole.valid)
-
-
-@pytest.mark.parametrize("sizes", [(32, 130), (31, 128), (0, 128), (32, 16)])
-def test_panoramas_are_halved_as_often_as_the_encoder(sizes: tuple[int, int]) -> None:
-    with pytest.raises(ArgumentError, match="output_size"):
-        OmniMVS(8, feature_channels=4, output_size=sizes)
-    assert OmniMVS(8, feature_channels=4, output_size=(16, 32), num_scales=4).hyperparameters
 
 
 def test_containers_leave_temporary_files_of_each_other_alone(

@@ -13,26 +13,16 @@ from torch import Tensor
 
 import sphericalvision
 
-ROOMS = (
-    "cameras",
-    "capture",
-    "crown",
-    "data",
-    "geometry",
-    "icosphere",
-    "losses",
-    "metrics",
-    "models",
-    "scenes",
-)
-ROOMS += ("sphere", "sweep", "viz")
+ROOMS = "cameras capture crown data geometry icosphere losses metrics models scenes sphere sweep viz"
 
 
-def names_in(call: str) -> dict[str, Any]:
-    """Public names of all rooms that a call uses: what they do not need is not imported."""
+def names_in(call: str, modules: str = "") -> dict[str, Any]:
+    """Public names of all rooms, and those of some modules, that a call uses: what it does not need is not imported."""
     used = {node.id for node in ast.walk(ast.parse(call)) if isinstance(node, ast.Name)}
-    rooms = [getattr(sphericalvision, room) for room in ROOMS]
-    return {name: getattr(room, name) for room in rooms for name in used.intersection(room.__all__)}
+    rooms = [getattr(sphericalvision, room) for room in ROOMS.split()]
+    found = {name: getattr(room, name) for room in rooms for name in used.intersection(room.__all__)}
+    loaded = (vars(import_module(f"sphericalvision.{module}")) for module in modules.split())
+    return found | {name: names[name] for names in loaded for name in used.intersection(names)}
 
 
 def random_values(*shape: int, seed: int = 1) -> Tensor:
@@ -79,6 +69,4 @@ def numbers_in(table: str) -> list[tuple[str, float]]:
 
 def sum_of(call: str, names: Mapping[str, Any], modules: str = "") -> float:
     """``weighted_sum`` over what a call returns, which may use all public names, those of these modules, and these."""
-    loaded = [vars(import_module(f"sphericalvision.{module}")) for module in modules.split()]
-    known = {"math": math} | {name: value for module in loaded for name, value in module.items()}
-    return weighted_sum(*tensors_of(eval(call, {**names_in(call), **known, **names})))
+    return weighted_sum(*tensors_of(eval(call, {"math": math, **names_in(call, modules), **names})))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from sphericalvision.core import ArgumentError, FileFormatError, ShapeError
+from sphericalvision.core import ArgumentError, FileFormatError
 from sphericalvision.data.omnistereo.ground_truth import read_ground_truth, write_ground_truth
 
 
@@ -60,7 +60,3 @@ def test_other_suffixes_and_shapes_are_refused(tmp_path: Path) -> None:
         cv2.imwrite(str(tmp_path / name), pixels)
         with pytest.raises(FileFormatError, match=f"{name}: {told}"):
             read_ground_truth(tmp_path / name, 0.55)
-    with pytest.raises(ArgumentError, match=r"suffix \.png or \.tiff, got '1\.exr'"):
-        write_ground_truth(tmp_path / "1.exr", torch.zeros(2, 4), 0.55)
-    with pytest.raises(ShapeError, match="inverse_depth"):
-        write_ground_truth(tmp_path / "1.png", torch.zeros(1, 2, 4), 0.55)

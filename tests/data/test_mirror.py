@@ -6,7 +6,6 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras import CameraRig, ring_rig
-from sphericalvision.core import ArgumentError
 from sphericalvision.data.augmentation.fivefold import Mirror, mirror_ids
 from sphericalvision.icosphere import Icosphere
 from sphericalvision.scenes.random_rigs import random_rig
@@ -56,12 +55,3 @@ def test_a_share_of_samples_follows_its_generator() -> None:
     sometimes = Mirror(0.5, torch.Generator().manual_seed(0))
     stayed = [sometimes(sample) is sample for _ in range(40)]
     assert 8 < sum(stayed) < 32
-
-
-def test_images_of_cameras_are_refused() -> None:
-    with pytest.raises(ArgumentError, match="fisheye"):
-        Mirror()({"fisheye": torch.zeros(2, 3, 4, 4), "rig": ring_rig(2)})
-    masked = ring_rig(2, image_size=(4, 4))
-    masked.masks["cam1"] = torch.ones(4, 4, dtype=torch.bool)
-    with pytest.raises(ArgumentError, match="masks"):
-        Mirror()({"valid": torch.arange(12), "rig": masked})

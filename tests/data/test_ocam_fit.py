@@ -8,7 +8,6 @@ import torch
 
 from sphericalvision.cameras import (
     DoubleSphereCamera,
-    EquirectangularCamera,
     FisheyeCamera,
     OCamCamera,
     convert,
@@ -69,8 +68,3 @@ def test_a_fit_without_the_corners_of_images_is_refused(monkeypatch: pytest.Monk
     monkeypatch.setattr(writer, "convert", lambda *a, **k: convert(*a, **k)._replace(covered_angle=0.8))
     with pytest.raises(ArgumentError, match="sees"):
         ocam_from_camera(camera)
-
-
-def test_what_no_polynomial_can_follow_is_refused() -> None:
-    with pytest.raises(ArgumentError, match="OCam model"):
-        ocam_from_camera(EquirectangularCamera((100, 200)))

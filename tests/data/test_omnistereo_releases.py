@@ -48,17 +48,6 @@ def test_training_frames_are_in_no_other_split(protocol: str) -> None:
     assert not train & held_out
 
 
-def test_a_split_that_does_not_exist_is_refused_with_those_that_do() -> None:
-    with pytest.raises(
-        ArgumentError, match=r"omnithings has 'all', 'train', 'val' in the 'paper' protocol.*'test'"
-    ):
-        split_frames("omnithings", "test", "paper")
-    with pytest.raises(ArgumentError, match="dataset: expected one of 'omnithings'"):
-        split_frames("kitti", "train")
-    with pytest.raises(ArgumentError, match="protocol: expected one of"):
-        split_frames("omnithings", "train", "mine")
-
-
 def test_frames_are_found_by_number_whatever_the_digits(tmp_path: Path) -> None:
     for name in ("00001.png", "0001.png", "0002.png", "10240.png", "thumbs.png", "3.txt", ".0007.png"):
         (tmp_path / name).touch()

@@ -4,7 +4,6 @@
 import pytest
 import torch
 
-from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import (
     Icosphere,
     IcospherePool,
@@ -101,8 +100,3 @@ def test_to_the_subdivision_order_and_back() -> None:
     assert torch.equal(from_subdivision_order(to_subdivision_order(values)), values)
     assert torch.equal(to_subdivision_order(from_subdivision_order(values)), values)
     assert torch.equal(values[0, Icosphere(3).subdivision_order], from_subdivision_order(values)[0])
-
-
-def test_bad_arguments_are_named() -> None:
-    with pytest.raises(ArgumentError, match="no coarser level"):
-        icosphere_vertex_parents(0)

@@ -14,7 +14,7 @@ import torch
 from PIL import Image
 
 from sphericalvision.cameras import ring_rig
-from sphericalvision.core import ArgumentError, FileFormatError, MissingFileError, ShapeError
+from sphericalvision.core import FileFormatError, MissingFileError
 from sphericalvision.io.images import (
     read_image,
     read_image_size,
@@ -91,9 +91,6 @@ def test_tiffs_of_both_byte_orders_and_of_half_precision_are_read(
 def test_errors_name_file_cause_and_remedy(tmp_path: Path) -> None:
     with pytest.raises(MissingFileError, match=r"nowhere\.png.*frame 3 of cam2 expected"):
         read_image(tmp_path / "nowhere.png", what="frame 3 of cam2")
-    write_image(tmp_path / "small.png", torch.zeros(3, 4, 6))
-    with pytest.raises(FileFormatError, match=r"small\.png: expected 768 x 800 .* got 6 x 4"):
-        read_image(tmp_path / "small.png", image_size=(800, 768))
     write_image(tmp_path / "noise.png", torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(0)))
     whole = (tmp_path / "noise.png").read_bytes()
     for name, content in {
@@ -108,18 +105,6 @@ def test_errors_name_file_cause_and_remedy(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "float.tiff"), np.zeros((2, 2), np.float32))
     with pytest.raises(FileFormatError, match="8 or 16 bits"):
         read_image(tmp_path / "float.tiff")
-    with pytest.raises(ShapeError, match=r"expected a float tensor \(3, h, w\)"):
-        write_image(tmp_path / "a.png", torch.zeros(4, 6))
-    with pytest.raises(FileFormatError, match=r"a\.nonsense"):
-        write_image(tmp_path / "a.nonsense", torch.zeros(1, 4, 6))
-    with pytest.raises(ArgumentError, match=r"mask: expected bool, got torch.uint8; mask > 0"):
-        write_mask(tmp_path / "a.png", torch.full((4, 6), 255, dtype=torch.uint8))
-    for channels in (2, 4):  # OpenCV would take the last of four for blue, as the order is turned
-        page = np.zeros((4, 6, channels), np.uint8)
-        with pytest.raises(ShapeError, match=rf"image: expected .* got uint8 \(4, 6, {channels}\)"):
-            write_image(tmp_path / "a.png", page)
-        with pytest.raises(ShapeError, match=rf"pages: expected .* got uint8 \(4, 6, {channels}\)"):
-            write_pages(tmp_path / "a.png", [page])
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@ import math
 import pytest
 import torch
 
-from sphericalvision.core import ArgumentError
 from sphericalvision.icosphere import Icosphere, icosphere_neighbors
 from sphericalvision.metrics.spread import bootstrap_interval, error_of_surest
 from sphericalvision.metrics.structure import depth_structure, local_contrast
@@ -88,5 +87,3 @@ def test_the_surest_by_brute_force() -> None:
         for column, share in enumerate(shares):
             kept = ranked[: max(1, round(share * len(ranked)))]
             assert found[row, column].item() == pytest.approx(sum(kept) / len(kept), rel=1e-5)
-    with pytest.raises(ArgumentError, match="shares"):
-        error_of_surest(error, sure, (0.0,))

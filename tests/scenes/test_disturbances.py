@@ -111,15 +111,6 @@ def test_poses_are_off_by_the_angle_given() -> None:
     torch.testing.assert_close(off.positions, RIG.positions)
 
 
-def test_images_on_the_icosphere_are_refused() -> None:
-    with pytest.raises(ArgumentError, match="before ToSphere"):
-        CameraDisturbance()({"images": torch.zeros(3, 3, 42), "rig": RIG})
-    with pytest.raises(ArgumentError, match="vignetting"):
-        CameraDisturbance(vignetting=1.5)
-    with pytest.raises(ArgumentError, match="noise"):
-        CameraDisturbance(noise=-1.0)
-
-
 @pytest.fixture
 def inverted(monkeypatch: pytest.MonkeyPatch) -> None:
     """A disturbance of one's own that takes an image for its negative."""

@@ -77,11 +77,6 @@ def test_layouts_of_arrays_and_of_tensors_are_one_image(channels: int, generator
             as_photographs(dict.fromkeys(RIG.names, images) | {"cam3": images.clamp(max=0) + outside}, RIG)
 
 
-def test_cameras_of_two_sizes_fill_no_tensor() -> None:
-    with pytest.raises(ShapeError, match="one size"):
-        Intake(RIG.resized({"cam1": (16, 16)}), None)
-
-
 @pytest.mark.parametrize("change", [lambda image: image[None][:0], Tensor.to_sparse])
 def test_images_of_nothing_and_sparse_ones_are_refused_by_name(change: Callable[[Tensor], Tensor]) -> None:
     images = {name: torch.ones(3, 28, 32) for name in RIG.names}

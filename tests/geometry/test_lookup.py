@@ -12,6 +12,7 @@ from torch import Tensor
 from sphericalvision.geometry import bilinear_sample
 from sphericalvision.geometry.image_lookup import image_lookup, taps_across_edges
 from sphericalvision.geometry.lookup import Lookup, weighted_sums
+from sphericalvision.geometry.means_by_id import mean_by_id, means_by_id
 from sphericalvision.geometry.separable_lookup import SeparableLookup
 from sphericalvision.kernels import reference_kernels
 from tests.values import rand
@@ -164,3 +165,18 @@ def test_tables_are_copied_and_moved_and_not_saved() -> None:
         assert torch.equal(other(images), lookup(images))
     assert lookup.state_dict() == {}
     assert lookup.to("meta")(images.to("meta")).shape == (1, 4)
+
+
+def test_mean_is_the_sum_over_the_count() -> None:
+    generator = torch.Generator().manual_seed(0)
+    ids = torch.cat((torch.arange(40), torch.randint(40, (300,), generator=generator)))
+    values = torch.randn(2, 3, len(ids), generator=generator, dtype=torch.float64)
+    tables = means_by_id(ids, 40)
+    assert len(tables.others) > 0  # ids with more places than most
+    expected = values.new_zeros(2, 3, 40).index_add(-1, ids, values) / ids.bincount()
+    torch.testing.assert_close(mean_by_id(values, tables), expected)
+    even = means_by_id(torch.arange(40).repeat(3), 40)
+    assert len(even.others) == 0
+    torch.testing.assert_close(
+        mean_by_id(values[..., :120], even), values[..., :120].unflatten(-1, (3, 40)).mean(-2)
+    )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rays against primitives: laws of hits, normals and shadows."""
+"""Rays against primitives: laws of hits, normals and shadows, and the names of what they hit."""
 
 import math
 
@@ -7,7 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from sphericalvision.core import ArgumentError, ShapeError
+from sphericalvision.icosphere import icosphere_vertices
+from sphericalvision.scenes import SURFACE_LABELS, make_scene, ray_depth, ray_labels
 from sphericalvision.scenes.rendering.primitives import SHAPES, Part, Primitives, map_columns, pack
 from sphericalvision.scenes.rendering.ray_packets import RayPackets, packed
 from sphericalvision.scenes.rendering.raycast import blocked, first_hits, trace
@@ -115,13 +116,41 @@ def test_distance_from_a_point_is_to_the_bounding_box() -> None:
     torch.testing.assert_close(table.distance_from(torch.zeros(3)), torch.tensor([2.0, math.sqrt(1 + 9)]))
 
 
-def test_bad_arguments_are_named() -> None:
-    ball = pack([Part("ellipsoid", (0.0, 0.0, 3.0), (1.0, 1.0, 1.0))])
-    with pytest.raises(ShapeError, match="directions"):
-        trace(ball, torch.zeros(3), torch.zeros(4, 2))
-    with pytest.raises(ArgumentError, match="shape"):
-        pack([Part("cone", (0.0, 0.0, 3.0), (1.0, 1.0, 1.0))])
-    with pytest.raises(ArgumentError, match="half"):
-        pack([Part("box", (0.0, 0.0, 3.0), (1.0, 0.0, 1.0))])
-    with pytest.raises(ArgumentError, match="parts"):
-        pack([])
+@pytest.fixture(scope="module")
+def directions() -> torch.Tensor:
+    return icosphere_vertices(4).float()
+
+
+def test_floors_are_below_and_ceilings_above(directions: torch.Tensor) -> None:
+    found = set()
+    for seed in range(4):
+        scene = make_scene("room", seed)
+        labels = ray_labels(scene, torch.zeros(3), directions)
+        depth = ray_depth(scene, torch.zeros(3), directions)
+        assert torch.equal(labels < 0, depth.isinf())
+        assert labels.max() < len(SURFACE_LABELS)
+        height = directions[:, 1]
+        floor, ceiling, wall = (labels == SURFACE_LABELS.index(n) for n in ("floor", "ceiling", "wall"))
+        assert floor[height > 0.95].float().mean() > 0.3
+        assert not floor[height < 0].any()
+        assert not ceiling[height > 0].any()
+        # Floor and ceiling are planes: the rays' ends are all at one height, or, next door, at a second one.
+        for plane in (floor, ceiling):
+            ends = (depth * height)[plane]
+            assert len(ends.mul(100).round().unique()) <= 4
+        assert wall.float().mean() > 0.1
+        found |= set(labels.unique().tolist())
+    named = {SURFACE_LABELS[label] for label in found if label >= 0}
+    assert {"floor", "ceiling", "wall", "seat", "storage", "picture", "lamp"} <= named
+
+
+def test_labels_move_with_the_scene(directions: torch.Tensor) -> None:
+    scene, shift = make_scene("room", 2), torch.tensor([0.3, -0.1, 0.2])
+    turn = torch.tensor([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    moved = ray_labels(scene.transformed(turn, shift).scaled(2.0), 2 * shift, directions @ turn.T)
+    assert (moved == ray_labels(scene, torch.zeros(3), directions)).float().mean() > 0.999
+
+
+def test_what_has_no_name_is_other() -> None:
+    assert pack([Part("box", (0.0, 0.0, 2.0), (0.5, 0.5, 0.5))]).label.tolist() == [0]
+    assert SURFACE_LABELS[0] == "other"

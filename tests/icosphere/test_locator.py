@@ -92,17 +92,6 @@ def test_no_direction_has_valid_ids_and_no_weights() -> None:
         assert weights.isnan().any(-1).all()
 
 
-def test_gradients_are_those_of_few_directions(generator: torch.Generator) -> None:
-    directions = torch.randn(100, 3, generator=generator, dtype=torch.float64)
-    gradients = []
-    for count in (100, 1):  # at once by table, one by one by the descent
-        given = directions.clone().requires_grad_()
-        weights = torch.cat([locate(part, 1)[1] for part in given.split(count)])
-        (weights * torch.arange(3.0)).square().sum().backward()
-        gradients.append(given.grad)
-    torch.testing.assert_close(*gradients)
-
-
 class Located(torch.nn.Module):
     """Weights of given directions, and values sampled at others that are part of the program."""
 

@@ -98,17 +98,6 @@ def test_cached_and_fresh_samples_are_equal_and_the_cache_is_read(
     assert same(first, scenes(rig, cache_dir=tmp_path, view=view)[0])
 
 
-def test_masks_cover_images() -> None:
-    rig = ring_rig(image_size=(16, 16))
-    mask = torch.ones(16, 16, dtype=torch.bool)
-    mask[8:] = False
-    masked = CameraRig(rig.cameras, rig.world_from_camera, {"cam1": mask})
-    plain, covered = (scenes(r, view=SampleView(images=True))[0]["fisheye"] for r in (rig, masked))
-    assert (covered[0, :, 8:] == 0).all()
-    assert torch.equal(covered[0, :, :8], plain[0, :, :8])
-    assert torch.equal(covered[1:], plain[1:])
-
-
 def test_a_turned_sample_is_one_of_the_turned_world() -> None:
     """The panorama by whole columns, the icosphere from chart to chart, the cameras with the world: all one turn."""
     rig = ring_rig(image_size=(32, 32))

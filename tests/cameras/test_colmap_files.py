@@ -200,7 +200,7 @@ def test_rigs_that_say_too_little_are_refused(tmp_path: Path) -> None:
         ("1 2 CAMERA 1 CAMERA 2 1 1 0 0 0", "the line is too short"),
         ("1 3 CAMERA 1 CAMERA 2 1 1 0 0 0 0 0 0", "the line is too short"),
         ("1 2 CAMERA 1 LIDAR 2 0", "expected CAMERA or IMU, got 'LIDAR'"),
-        ("1 1", "announces 1 sensors and has 0"),
+        ("1 1", "expected SENSOR_TYPE SENSOR_ID, the line is too short"),
         ("1 1 CAMERA 1", "expected one rig of several cameras, got 0"),
         ("1 2 CAMERA 1 CAMERA 2 1 2 0 0 0 0 0 0", "expected a quaternion of length 1"),
     ):

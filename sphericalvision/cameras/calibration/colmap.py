@@ -32,11 +32,10 @@ from sphericalvision.cameras.calibration.colmap_records import (
     PointRecords,
     RigRecord,
     SensorRecord,
-    binary_files,
     cameras_in,
     images_in,
+    model_files,
     rigs_in,
-    text_files,
     transform_of,
 )
 from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
@@ -162,8 +161,7 @@ def write_colmap(cameras: Camera | Mapping[str, Camera], path: str | Path) -> No
     if not named:
         raise ArgumentError("cameras: expected at least one camera, got none")
     path = Path(path)
-    make = binary_files if path.suffix == ".bin" else text_files
-    (content,) = make(_records(named), [], [], PointRecords()).values()
+    (content,) = model_files(_records(named), ".bin" if path.suffix == ".bin" else ".txt").values()
     write_bytes(path, content)
 
 
@@ -215,10 +213,9 @@ def write_colmap_model(
         SensorRecord("CAMERA", camera.id, _pose(pose))
         for camera, pose in zip(cameras, from_first, strict=True)
     ]
-    rigs = [RigRecord("", 1, sensors)]
     for suffix in suffixes:
-        make = binary_files if suffix == ".bin" else text_files
-        for name, content in make(cameras, images, rigs, points).items():
+        files = model_files(cameras, suffix, images, RigRecord("", 1, sensors), points)
+        for name, content in files.items():
             write_bytes(folder / name, content)
 
 

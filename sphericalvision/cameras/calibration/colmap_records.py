@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.calibration.lenses import PANORAMA, Lens
-from sphericalvision.cameras.calibration.parsing import numbers
+from sphericalvision.cameras.calibration.parsing import chosen, numbers
 from sphericalvision.cameras.calibration.poses import transform_from_numbers
 from sphericalvision.cameras.calibration.text_files import data_lines
 from sphericalvision.core import FileFormatError
@@ -58,8 +58,11 @@ LENSES = (
 """In the order of their numbers in binary files. Of one class that which holds most of a camera is written."""
 FORKED = 11
 """From this number on programs made from COLMAP have models of their own."""
-_SENSOR_TYPES = ("CAMERA", "IMU")
 _IDENTITY = [1.0, 0, 0, 0, 0, 0, 0]
+_POSE = "QW QX QY QZ TX TY TZ"
+_CHOICES = {"L": tuple(lens.name for lens in LENSES), "T": ("CAMERA", "IMU")}
+"""Kinds of values beside those of ``struct``, of lenses and sensors: words in a text, numbers in a binary file."""
+_NUMBERS = str.maketrans(dict.fromkeys(_CHOICES, "i"))
 
 
 class CameraRecord(NamedTuple):
@@ -137,7 +140,7 @@ class RigRecord(NamedTuple):
 
 def cameras_in(path: Path) -> list[CameraRecord]:
     """Of ``cameras.txt`` or ``cameras.bin``."""
-    return _records(path, _text_camera, _binary_camera)
+    return _records(path, _camera)
 
 
 def images_in(path: Path) -> list[ImageRecord]:
@@ -145,11 +148,16 @@ def images_in(path: Path) -> list[ImageRecord]:
 
     COLMAP 4 keeps poses twice and uses those of the frames; a version of it left old ones in ``images``.
     """
-    images = _Bytes(path).records(_binary_image) if path.suffix == ".bin" else _text_images(path)
+    images = _Bytes(path).records(_image) if path.suffix == ".bin" else _text_images(path)
     frames, rigs = (path.with_name(f"{name}{path.suffix}") for name in ("frames", "rigs"))
     if frames.is_file() and rigs.is_file():
-        _check_frames(images, _records(frames, _text_frame, _binary_frame), rigs_in(rigs))
+        _check_frames(images, _records(frames, _frame), rigs_in(rigs))
     return images
+
+
+def rigs_in(path: Path) -> list[RigRecord]:
+    """Of ``rigs.txt`` or ``rigs.bin``."""
+    return _records(path, _rig)
 
 
 def _check_frames(images: list[ImageRecord], frames: list[FrameRecord], rigs: list[RigRecord]) -> None:
@@ -203,31 +211,17 @@ def _text_images(path: Path) -> list[ImageRecord]:
             )
     images = []
     for number, line in lines[::2]:
-        entries = line.split(maxsplit=9)
-        if not entries:
-            continue
-        where = f"{path}, line {number}"
-        if len(entries) < 10:
-            raise FileFormatError(
-                f"{where}: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, got {line.strip()!r:.80}"
-            )
-        image, camera = _ids([entries[0], entries[8]], where)
-        images.append(ImageRecord(where, image, _pose(entries[1:8], where), camera, entries[9].strip()))
+        if line.strip():
+            images.append(_image(_Line(line.strip().split(maxsplit=9), f"{path}, line {number}")))
     return _counted(path, images)
 
 
-def rigs_in(path: Path) -> list[RigRecord]:
-    """Of ``rigs.txt`` or ``rigs.bin``."""
-    return _records(path, _text_rig, _binary_rig)
-
-
-def _records(
-    path: Path, of_line: Callable[[list[str], str], Record], of_bytes: Callable[[_Bytes], Record]
-) -> list[Record]:
+def _records(path: Path, record: Callable[[_Line | _Bytes], Record]) -> list[Record]:
     """Of a text with one a line, or of a binary file."""
     if path.suffix == ".bin":
-        return _Bytes(path).records(of_bytes)
-    return _counted(path, [of_line(words, f"{path}, line {line}") for line, words in data_lines(path)])
+        return _Bytes(path).records(record)
+    lines = [_Line(words, f"{path}, line {line}") for line, words in data_lines(path)]
+    return _counted(path, [record(line) for line in lines])
 
 
 def _counted(path: Path, records: list[Record]) -> list[Record]:
@@ -239,74 +233,100 @@ def _counted(path: Path, records: list[Record]) -> list[Record]:
     return records
 
 
-def _text_camera(words: list[str], where: str) -> CameraRecord:
-    if len(words) < 4:
+def _camera(source: _Line | _Bytes) -> CameraRecord:
+    where = source.where
+    id, model, width, height = source.take("ILQQ", "CAMERA_ID MODEL WIDTH HEIGHT")
+    lens, count = LENSES[model], len(LENSES[model].keys)
+    if model >= FORKED and isinstance(source, _Bytes) and len(source.data) - source.at < 8 * count:
         raise FileFormatError(
-            f"{where}: expected CAMERA_ID MODEL WIDTH HEIGHT and parameters, got {' '.join(words)}"
+            f"{where}: model {model} is COLMAP's {lens.name} of {count} numbers, for which the file is too short. "
+            "Forks give other models this number, SphereSfM its SPHERE of three; export the model as text there, "
+            "and call a panorama EQUIRECTANGULAR w h"
         )
-    if not re.fullmatch(r"\d{1,18}", words[0]):
-        raise FileFormatError(f"{where}: expected a camera number of its own first, got {words[0]!r}")
-    lenses = {lens.name: lens for lens in LENSES}
-    if words[1] not in lenses:
-        raise FileFormatError(f"{where}: expected a model among {', '.join(lenses)}, got {words[1]}")
-    lens = lenses[words[1]]
-    parameters = numbers(words[4:], f"{where}, {lens.name} ({' '.join(lens.keys)})", len(lens.keys))
-    return CameraRecord(where, int(words[0]), lens, words[2:4], parameters)
+    parameters = source.take("d" * count, " ".join(lens.keys))
+    source.end()
+    return CameraRecord(where, id, lens, (width, height), parameters)
 
 
-def _text_rig(words: list[str], where: str) -> RigRecord:
-    def take(count: int, what: str) -> list[str]:
-        if len(words) < count:
-            raise FileFormatError(f"{where}: expected {what}, the line is too short; is it cut off?")
-        taken, words[:count] = words[:count], []
-        return taken
+def _image(source: _Line | _Bytes) -> ImageRecord:
+    where = source.where
+    image, *pose, camera = source.take("IdddddddI", f"IMAGE_ID {_POSE} CAMERA_ID")
+    return ImageRecord(where, image, pose, camera, source.name())
 
-    rig, count = _ids(take(2, "RIG_ID NUM_SENSORS"), where)
-    sensors: list[SensorRecord] = []
-    for index in range(min(count, len(words))):
-        type, id = take(2, "SENSOR_TYPE SENSOR_ID")
-        pose = None if index else _IDENTITY
-        if index and take(1, "HAS_POSE")[0] == "1":
-            pose = _pose(take(7, "QW QX QY QZ TX TY TZ"), where)
-        if type not in _SENSOR_TYPES:
-            raise FileFormatError(f"{where}: expected {' or '.join(_SENSOR_TYPES)}, got {type!r}")
-        sensors.append(SensorRecord(type, _ids([id], where)[0], pose))
-    if count < 1 or len(sensors) < count or words:
-        raise FileFormatError(
-            f"{where}: announces {count} sensors and has {len(sensors)} and {len(words)} words more; is it cut off?"
-        )
+
+def _rig(source: _Line | _Bytes) -> RigRecord:
+    where = source.where
+    rig, count = source.take("II", "RIG_ID NUM_SENSORS")
+    if count < 1:
+        raise FileFormatError(f"{where}: expected at least one sensor, got none")
+    sensors = [SensorRecord(*_sensor(source), _IDENTITY)]
+    for _ in range(count - 1):
+        type, id = _sensor(source)
+        (has_pose,) = source.take("B", "HAS_POSE")
+        sensors.append(SensorRecord(type, id, source.take("ddddddd", _POSE) if has_pose else None))
+    source.end()
     return RigRecord(where, rig, sensors)
 
 
-def _text_frame(words: list[str], where: str) -> FrameRecord:
-    if len(words) < 10 or not words[9].isdecimal() or len(words) != 10 + 3 * int(words[9]):
-        raise FileFormatError(
-            f"{where}: expected FRAME_ID RIG_ID QW QX QY QZ TX TY TZ NUM_DATA_IDS and three words for each of these "
-            f"(SENSOR_TYPE SENSOR_ID DATA_ID), got {len(words)} words; is it cut off?"
-        )
-    types, sensors, images = words[10::3], _ids(words[11::3], where), _ids(words[12::3], where)
-    rig, pose = _ids(words[1:2], where)[0], _pose(words[2:9], where)
-    return FrameRecord(where, rig, pose, _sensors(types, sensors, images))
+def _frame(source: _Line | _Bytes) -> FrameRecord:
+    where = source.where
+    _, rig, *pose, count = source.take("IIdddddddI", f"FRAME_ID RIG_ID {_POSE} NUM_DATA_IDS")
+    images = {}
+    for _ in range(count):
+        sensor, (data,) = _sensor(source), source.take("Q", "DATA_ID")
+        if sensor[0] == "CAMERA":  # data of other sensors are numbered apart
+            images[data] = sensor
+    source.end()
+    return FrameRecord(where, rig, pose, images)
 
 
-def _sensors(types: Sequence[str], sensors: Sequence[int], data: Sequence[int]) -> dict[int, tuple[str, int]]:
-    """Images by id; data of other sensors are numbered apart."""
-    entries = zip(types, sensors, data, strict=True)
-    return {image: (type, sensor) for type, sensor, image in entries if type == "CAMERA"}
+def _sensor(source: _Line | _Bytes) -> tuple[str, int]:
+    type, id = source.take("TI", "SENSOR_TYPE SENSOR_ID")
+    return _CHOICES["T"][type], id
 
 
-def _pose(values: list[Any], where: str) -> list[float]:
-    return numbers(values, f"{where}, QW QX QY QZ TX TY TZ", 7)
+class _Line:
+    """A record in a text: its words, which are taken one after the other."""
 
+    def __init__(self, words: list[str], where: str) -> None:
+        self.words, self.where = words, where
 
-def _ids(words: list[str], where: str) -> list[int]:
-    if not all(re.fullmatch(r"\d{1,18}", word) for word in words):
-        raise FileFormatError(f"{where}: expected whole numbers, got {' '.join(words)}")
-    return [int(word) for word in words]
+    def take(self, kinds: str, names: str) -> list[Any]:
+        """The next numbers, of these kinds and names."""
+        if len(self.words) < len(kinds):
+            raise FileFormatError(f"{self.where}: expected {names}, the line is too short; is it cut off?")
+        words, self.words = self.words[: len(kinds)], self.words[len(kinds) :]
+        return [
+            self._number(kind, word, f"{self.where}, {name}")
+            for kind, word, name in zip(kinds, words, names.split(), strict=True)
+        ]
+
+    @staticmethod
+    def _number(kind: str, word: str, where: str) -> float:
+        if kind == "d":
+            return numbers(word, where)[0]
+        if kind in _CHOICES:
+            return _CHOICES[kind].index(chosen(word, _CHOICES[kind], where))
+        if not re.fullmatch(r"\d{1,18}", word):
+            raise FileFormatError(f"{where}: expected a whole number, got {word!r:.80}")
+        return int(word)
+
+    def name(self) -> str:
+        """Of an image, with which the line ends."""
+        if not self.words:
+            raise FileFormatError(f"{self.where}: expected NAME, the line is too short; is it cut off?")
+        return self.words.pop()
+
+    def end(self) -> None:
+        """Refuse words behind the record."""
+        if self.words:
+            raise FileFormatError(
+                f"{self.where}: has {len(self.words)} words more than it announces, {' '.join(self.words)!r:.80}"
+            )
 
 
 class _Bytes:
-    """A binary file, read from the front."""
+    """A binary file of records, read from the front."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.data, self.at = path, read_bytes(path), 0
@@ -315,13 +335,18 @@ class _Bytes:
     def where(self) -> str:
         return f"{self.path}, byte {self.at}"
 
-    def take(self, kinds: str) -> tuple[Any, ...]:
-        """Little-endian numbers of these kinds."""
-        size = struct.calcsize(f"<{kinds}")
-        if self.at + size > len(self.data):
-            raise FileFormatError(f"{self.where}: the file ends here; is it truncated?")
-        self.at += size
-        return struct.unpack_from(f"<{kinds}", self.data, self.at - size)
+    def take(self, kinds: str, names: str) -> list[Any]:
+        """The next numbers, of these kinds and names, little-endian."""
+        layout, where = f"<{kinds.translate(_NUMBERS)}", self.where
+        self.skip(struct.calcsize(layout))
+        values = struct.unpack_from(layout, self.data, self.at - struct.calcsize(layout))
+        for kind, value, name in zip(kinds, values, names.split(), strict=True):
+            if kind == "d":
+                numbers(value, f"{where}, {name}")
+            elif kind in _CHOICES and not 0 <= value < len(_CHOICES[kind]):
+                most = len(_CHOICES[kind]) - 1
+                raise FileFormatError(f"{where}, {name}: expected a number from 0 to {most}, got {value}")
+        return list(values)
 
     def skip(self, size: int) -> None:
         """Leave so many bytes out."""
@@ -329,157 +354,121 @@ class _Bytes:
             raise FileFormatError(f"{self.where}: {size} bytes are expected here; is it truncated?")
         self.at += size
 
-    def word(self) -> str:
-        """A text that ends with a zero."""
+    def name(self) -> str:
+        """A text that ends with a zero; the points of the image, which follow it, are left out."""
         end = self.data.find(b"\0", self.at)
         if end < 0:
             raise FileFormatError(f"{self.where}: a name without an end; is it truncated?")
         text, self.at = self.data[self.at : end], end + 1
+        self.skip(24 * self.take("Q", "NUM_POINTS2D")[0])
         try:
             return text.decode("utf-8")
         except UnicodeDecodeError:
             raise FileFormatError(f"{self.where}: expected the name of an image") from None
 
+    def end(self) -> None:
+        """Another record may follow."""
+
     def records(self, record: Callable[[_Bytes], Record]) -> list[Record]:
         """All records of a file that begins with their number."""
-        records = [record(self) for _ in range(self.take("Q")[0])]
+        records = [record(self) for _ in range(self.take("Q", "NUM")[0])]
         if self.at != len(self.data):
             raise FileFormatError(f"{self.where}: {len(self.data) - self.at} bytes more than announced")
         return records
 
 
-def _binary_camera(file: _Bytes) -> CameraRecord:
-    where = file.where
-    id, model, width, height = file.take("IiQQ")
-    if not 0 <= model < len(LENSES):
-        raise FileFormatError(f"{where}: expected a model from 0 to {len(LENSES) - 1}, got {model}")
-    lens, count = LENSES[model], len(LENSES[model].keys)
-    if model >= FORKED and len(file.data) - file.at < 8 * count:
-        raise FileFormatError(
-            f"{where}: model {model} is COLMAP's {lens.name} of {count} numbers, for which the file is too short. "
-            "Forks give other models this number, SphereSfM its SPHERE of three; export the model as text there, "
-            "and call a panorama EQUIRECTANGULAR w h"
-        )
-    parameters = numbers(file.take(f"{count}d"), f"{where}, {lens.name} ({' '.join(lens.keys)})")
-    return CameraRecord(where, id, lens, (width, height), parameters)
+Fields = list[tuple[str, Sequence[Any]]]
+"""A record to be written: kinds and values of one group of fields after the other."""
 
 
-def _binary_image(file: _Bytes) -> ImageRecord:
-    where = file.where
-    image, *pose, camera = file.take("I7dI")
-    name = file.word()
-    file.skip(24 * file.take("Q")[0])
-    return ImageRecord(where, image, _pose(pose, where), camera, name)
-
-
-def _binary_rig(file: _Bytes) -> RigRecord:
-    where = file.where
-    rig, count = file.take("II")
-    if count < 1:
-        raise FileFormatError(f"{where}: expected at least one sensor, got none")
-    sensors = [SensorRecord(*_binary_sensor(file), _IDENTITY)]
-    for _ in range(count - 1):
-        type, id = _binary_sensor(file)
-        has_pose = file.take("B")[0]
-        pose = _pose(list(file.take("7d")), where) if has_pose else None
-        sensors.append(SensorRecord(type, id, pose))
-    return RigRecord(where, rig, sensors)
-
-
-def _binary_frame(file: _Bytes) -> FrameRecord:
-    where = file.where
-    _, rig, *pose, count = file.take("II7dI")
-    entries = [(*_binary_sensor(file), *file.take("Q")) for _ in range(count)]
-    types, sensors, images = zip(*entries, strict=True) if entries else ((), (), ())
-    return FrameRecord(where, rig, _pose(pose, where), _sensors(types, sensors, images))
-
-
-def _binary_sensor(file: _Bytes) -> tuple[str, int]:
-    where = file.where
-    type, id = file.take("iI")
-    if not 0 <= type < len(_SENSOR_TYPES):
-        raise FileFormatError(f"{where}: expected a sensor of type 0 or 1, got {type}")
-    return _SENSOR_TYPES[type], id
-
-
-def _frames(images: list[ImageRecord], rig: RigRecord) -> list[list[ImageRecord]]:
-    """Images by frames, in each of which a rig has taken one with each of its cameras, in order."""
-    size = len(rig.sensors)
-    return [images[first : first + size] for first in range(0, len(images), size)]
-
-
-def text_files(
-    cameras: list[CameraRecord], images: list[ImageRecord], rigs: list[RigRecord], points: PointRecords
+def model_files(
+    cameras: list[CameraRecord],
+    suffix: str,
+    images: Sequence[ImageRecord] = (),
+    rig: RigRecord | None = None,
+    points: PointRecords = PointRecords(),  # noqa: B008
 ) -> dict[str, bytes]:
-    """The files of a model by name; images come frame by frame, in which the one rig took one with each camera."""
-    lines: dict[str, list[str]] = {
-        "cameras": ["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"],
-        "images": ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME; X Y POINT3D_ID[]"],
-        "rigs": ["# RIG_ID NUM_SENSORS REF_SENSOR_TYPE REF_SENSOR_ID SENSORS[]"],
-        "frames": ["# FRAME_ID RIG_ID RIG_FROM_WORLD[] NUM_DATA_IDS DATA_IDS[]"],
-        "points3D": ["# POINT3D_ID X Y Z R G B ERROR TRACK[] as IMAGE_ID POINT2D_IDX"],
-    }
-    for camera in cameras:
-        lines["cameras"].append(_joined(camera.id, camera.lens.name, *camera.size, *camera.parameters))
-    for image in images:
-        pairs = zip(image.pixels.tolist(), image.points.tolist(), strict=True)
-        line = " ".join(f"{u:.3f} {v:.3f} {point + 1}" for (u, v), point in pairs)
-        lines["images"] += [_joined(image.id, *image.pose, image.camera, image.name), line]
-    for rig in rigs:
-        first, *others = rig.sensors
-        poses = [word for sensor in others for word in (sensor.type, sensor.id, 1, *(sensor.pose or []))]
-        lines["rigs"].append(_joined(rig.id, len(rig.sensors), first.type, first.id, *poses))
-        for number, frame in enumerate(_frames(images, rig), start=1):
-            data = [word for image in frame for word in ("CAMERA", image.camera, image.id)]
-            lines["frames"].append(_joined(number, rig.id, *frame[0].pose, len(frame), *data))
-    if not images:
-        lines = {"cameras": lines["cameras"]}
-    else:
+    """The files of a model by name, in text (``.txt``) or binary (``.bin``).
+
+    Images come frame by frame, in which the rig took one with each of its cameras, in order.
+    """
+    heads = {"cameras": "CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"}
+    records: dict[str, list[Fields]] = {"cameras": [_camera_fields(camera) for camera in cameras]}
+    if rig is not None:
+        size = len(rig.sensors)
+        frames = [images[first : first + size] for first in range(0, len(images), size)]
         rows = zip(*points, points.tracks(images), strict=True)
-        for number, parts in enumerate(rows, start=1):
-            position, color, track = (part.ravel().tolist() for part in parts)
-            lines["points3D"].append(_joined(number, *position, *color, 0, *track))
-    return {f"{name}.txt": ("\n".join(text) + "\n").encode() for name, text in lines.items()}
+        heads["images"] = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME; X Y POINT3D_ID[]"
+        records["images"] = [_image_fields(image) for image in images]
+        heads["rigs"] = "RIG_ID NUM_SENSORS REF_SENSOR_TYPE REF_SENSOR_ID SENSORS[]"
+        records["rigs"] = [_rig_fields(rig)]
+        heads["frames"] = "FRAME_ID RIG_ID RIG_FROM_WORLD[] NUM_DATA_IDS DATA_IDS[]"
+        records["frames"] = [_frame_fields(number, rig.id, each) for number, each in enumerate(frames, 1)]
+        heads["points3D"] = "POINT3D_ID X Y Z R G B ERROR TRACK[] as IMAGE_ID POINT2D_IDX"
+        records["points3D"] = [_point_fields(number, *row) for number, row in enumerate(rows, 1)]
+    if suffix == ".bin":
+        return {f"{name}.bin": _binary(each) for name, each in records.items()}
+    return {f"{name}.txt": _text(heads[name], each) for name, each in records.items()}
 
 
-def _joined(*words: object) -> str:
-    return " ".join(repr(word) if isinstance(word, float) else str(word) for word in words)
+def _camera_fields(camera: CameraRecord) -> Fields:
+    first = [camera.id, LENSES.index(camera.lens), *camera.size]
+    return [("ILQQ", first), ("d" * len(camera.parameters), camera.parameters)]
 
 
-def binary_files(
-    cameras: list[CameraRecord], images: list[ImageRecord], rigs: list[RigRecord], points: PointRecords
-) -> dict[str, bytes]:
-    """The same in binary."""
-    chunks = [struct.pack("<Q", len(cameras))]
-    for camera in cameras:
-        chunks.append(struct.pack("<IiQQ", camera.id, LENSES.index(camera.lens), *camera.size))
-        chunks.append(struct.pack(f"<{len(camera.parameters)}d", *camera.parameters))
-    files = {"cameras.bin": b"".join(chunks)}
-    if not images:
-        return files
-    chunks = [struct.pack("<Q", len(images))]
-    for image in images:
-        sightings = np.empty(len(image.points), [("pixel", "<f8", 2), ("point", "<u8")])
-        sightings["pixel"], sightings["point"] = image.pixels, image.points + 1
-        chunks.append(struct.pack("<I7dI", image.id, *image.pose, image.camera))
-        chunks.append(image.name.encode() + b"\0" + struct.pack("<Q", len(sightings)) + sightings.tobytes())
-    files["images.bin"] = b"".join(chunks)
-    chunks = [struct.pack("<Q", len(rigs))]
-    grouped = [(rig, frame) for rig in rigs for frame in _frames(images, rig)]
-    frames = [struct.pack("<Q", len(grouped))]
-    for rig in rigs:
-        first, *others = rig.sensors
-        chunks.append(struct.pack("<IIiI", rig.id, len(rig.sensors), 0, first.id))
-        chunks += [struct.pack("<iIB7d", 0, sensor.id, 1, *(sensor.pose or [])) for sensor in others]
-    for number, (rig, frame) in enumerate(grouped, start=1):
-        frames.append(struct.pack("<II7dI", number, rig.id, *frame[0].pose, len(frame)))
-        frames += [struct.pack("<iIQ", 0, image.camera, image.id) for image in frame]
-    rows = [struct.pack("<Q", len(points.positions))]
-    for number, (position, color, track) in enumerate(zip(*points, points.tracks(images), strict=True), 1):
-        rows.append(struct.pack("<Q3d3BdQ", number, *position, *color, 0.0, len(track)))
-        rows.append(track.astype("<u4").tobytes())
-    return files | {
-        "rigs.bin": b"".join(chunks),
-        "frames.bin": b"".join(frames),
-        "points3D.bin": b"".join(rows),
-    }
+def _image_fields(image: ImageRecord) -> Fields:
+    sightings = np.empty(len(image.points), [("pixel", "<f8", 2), ("point", "<u8")])
+    sightings["pixel"], sightings["point"] = image.pixels, image.points + 1
+    numbered = [image.id, *image.pose, image.camera]
+    return [("IdddddddI", numbered), ("name", [image.name]), ("sightings", [sightings])]
+
+
+def _rig_fields(rig: RigRecord) -> Fields:
+    first, *others = rig.sensors
+    fields: Fields = [("IITI", [rig.id, len(rig.sensors), 0, first.id])]
+    return fields + [("TIBddddddd", [0, sensor.id, 1, *(sensor.pose or [])]) for sensor in others]
+
+
+def _frame_fields(number: int, rig: int, images: Sequence[ImageRecord]) -> Fields:
+    fields: Fields = [("IIdddddddI", [number, rig, *images[0].pose, len(images)])]
+    return fields + [("TIQ", [0, image.camera, image.id]) for image in images]
+
+
+def _point_fields(number: int, *columns: npt.NDArray[Any]) -> Fields:
+    position, color, track = (column.ravel().tolist() for column in columns)
+    return [
+        ("QdddBBBd", [number, *position, *color, 0]),
+        ("count", [len(track) // 2]),
+        ("I" * len(track), track),
+    ]
+
+
+def _text(head: str, records: list[Fields]) -> bytes:
+    lines = [f"# {head}"]
+    for record in records:
+        words: list[str] = []
+        for kinds, values in record:
+            if kinds == "sightings":
+                lines.append(" ".join(words))
+                words = [f"{u:.3f} {v:.3f} {point}" for (u, v), point in values[0].tolist()]
+            elif kinds == "name":
+                words += values
+            elif kinds != "count":  # which a text leaves out
+                words += [
+                    _CHOICES[kind][value] if kind in _CHOICES else repr(value)
+                    for kind, value in zip(kinds, values, strict=True)
+                ]
+        lines.append(" ".join(words))
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _binary(records: list[Fields]) -> bytes:
+    chunks = [struct.pack("<Q", len(records))]
+    for kinds, values in (field for record in records for field in record):
+        if kinds == "name":
+            chunks.append(values[0].encode() + b"\0")
+        elif kinds == "sightings":
+            chunks += [struct.pack("<Q", len(values[0])), values[0].tobytes()]
+        else:
+            chunks.append(struct.pack("<Q" if kinds == "count" else f"<{kinds.translate(_NUMBERS)}", *values))
+    return b"".join(chunks)

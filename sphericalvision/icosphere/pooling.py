@@ -45,13 +45,19 @@ def icosphere_pool(values: Num[Tensor, "*batch V"], mode: str = "mean") -> Num[T
     """
     check_choice("mode", mode, POOL_MODES)
     level = level_from_num_vertices(values.shape[-1])
+    ids = _pooled_ids(level, values.device)
     if mode == "max":
-        return values[..., _pooled_ids(level, values.device)].amax(-1)
-    return _weighted_mean(values, *_mean_table(level, values))
+        return values[..., ids].amax(-1)
+    check_floating("values", values)
+    weights = _pool_weights(level, values.dtype, values.device)
+    result = values[..., ids[:, 0]] * weights[:, 0]
+    for k in range(1, 7):  # one after the other: seven times the coarse values need not fit in memory at once
+        result = result + values[..., ids[:, k]] * weights[:, k]
+    return result
 
 
 class IcospherePool(nn.Module):
-    """Pooling from one level to the next coarser one with tables made once; see ``icosphere_pool``.
+    """Pooling from one level to the next coarser one; see ``icosphere_pool``.
 
     Args:
         level: of the values given, 1 or more.
@@ -63,23 +69,14 @@ class IcospherePool(nn.Module):
         (IcospherePool(level=2, mode='max'), torch.Size([8, 42]))
     """
 
-    ids: Tensor
-    weights: Tensor
-
     def __init__(self, level: int, mode: str = "mean") -> None:
         super().__init__()
         check_choice("mode", mode, POOL_MODES)
-        self.level, self.mode = level, mode
-        ids, weights = _mean_table(level, torch.empty(0))
-        self.register_buffer("ids", ids, persistent=False)
-        self.register_buffer("weights", weights, persistent=False)
+        self.level, self.mode = check_level(level, 1), mode
 
-    @check_shapes
     def forward(self, values: Num[Tensor, "*batch V"]) -> Num[Tensor, "*batch V_coarse"]:
         _check_level_of(values, self.level)
-        if self.mode == "max":
-            return values[..., self.ids].amax(-1)
-        return _weighted_mean(values, self.ids, self.weights)
+        return icosphere_pool(values, self.mode)
 
     def extra_repr(self) -> str:
         return f"level={self.level}, mode={self.mode!r}"
@@ -101,8 +98,8 @@ def icosphere_upsample(values: Float[Tensor, "*batch V"]) -> Float[Tensor, "*bat
         >>> icosphere_upsample(torch.ones(2, 42)).shape
         torch.Size([2, 162])
     """
-    level = level_from_num_vertices(values.shape[-1])
-    return _mean_of_parents(values, _parents(level, values.device))
+    parents = _parents(level_from_num_vertices(values.shape[-1]), values.device)
+    return (read_entries(values, parents[:, 0]) + read_entries(values, parents[:, 1])) / 2
 
 
 @constant_table
@@ -111,7 +108,7 @@ def _parents(level: int, device: torch.device) -> Tensor:
 
 
 class IcosphereUpsample(nn.Module):
-    """Interpolation from one level to the next finer one with a table made once; see ``icosphere_upsample``.
+    """Interpolation from one level to the next finer one; see ``icosphere_upsample``.
 
     Args:
         level: of the values given.
@@ -121,17 +118,13 @@ class IcosphereUpsample(nn.Module):
         torch.Size([8, 162])
     """
 
-    parents: Tensor
-
     def __init__(self, level: int) -> None:
         super().__init__()
         self.level = check_level(level)
-        self.register_buffer("parents", icosphere_vertex_parents(level + 1), persistent=False)
 
-    @check_shapes
     def forward(self, values: Float[Tensor, "*batch V"]) -> Float[Tensor, "*batch V_fine"]:
         _check_level_of(values, self.level)
-        return _mean_of_parents(values, self.parents)
+        return icosphere_upsample(values)
 
     def extra_repr(self) -> str:
         return f"level={self.level}"
@@ -145,6 +138,7 @@ def _check_level_of(values: Tensor, level: int) -> None:
         )
 
 
+@constant_table
 def _pooled_ids(level: int, device: torch.device) -> Tensor:
     """Return what each kept vertex gathers: itself, then its neighbours; itself again where there are five."""
     coarse = coarse_vertex_ids(level, device)[:, None]
@@ -152,23 +146,11 @@ def _pooled_ids(level: int, device: torch.device) -> Tensor:
     return torch.cat((coarse, torch.where(around < 0, coarse, around)), 1)
 
 
-def _mean_table(level: int, like: Tensor) -> tuple[Tensor, Tensor]:
-    """Return ids ``(V_coarse, 7)`` and the weights of a mean by solid angle, in the dtype of ``like``."""
-    ids = _pooled_ids(level, like.device)
-    weights = icosphere_solid_angles(level, torch.float64, like.device)[ids]
+@constant_table
+def _pool_weights(level: int, dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Return the weights ``(V_coarse, 7)`` of a mean by solid angle."""
+    ids = _pooled_ids(level, device)
+    weights = icosphere_solid_angles(level, torch.float64, device)[ids]
     weights[:, 1:] *= 0.5  # halfway to the next kept vertex
     weights[:, 1:] *= ids[:, 1:] != ids[:, :1]
-    weights /= weights.sum(1, keepdim=True)
-    return ids, weights.to(like.dtype if like.is_floating_point() else torch.get_default_dtype())
-
-
-def _weighted_mean(values: Tensor, ids: Tensor, weights: Tensor) -> Tensor:
-    check_floating("values", values)
-    result = values[..., ids[:, 0]] * weights[:, 0].to(values.dtype)
-    for k in range(1, 7):  # one after the other: seven times the coarse values need not fit in memory at once
-        result = result + values[..., ids[:, k]] * weights[:, k].to(values.dtype)
-    return result
-
-
-def _mean_of_parents(values: Tensor, parents: Tensor) -> Tensor:
-    return (read_entries(values, parents[:, 0]) + read_entries(values, parents[:, 1])) / 2
+    return (weights / weights.sum(1, keepdim=True)).to(dtype)

@@ -26,13 +26,13 @@ def write(rig, path):
     cameras = {name: camera_to_dict(camera) for name, camera in rig.cameras.items()}
     path.write_text(json.dumps({"odd": cameras, "poses": rig.world_from_camera.tolist()}))
 
-def contents(content, path, options):
+def read(content, calibration):
     import torch
-    cameras = {name: native.camera_from_dict(values, str(path)) for name, values in content["odd"].items()}
-    return native.Contents(cameras, torch.tensor(content["poses"], dtype=torch.float64))
+    for (name, values), pose in zip(content["odd"].items(), content["poses"]):
+        camera = native.camera_from_dict(values, content.where)
+        calibration.add(name, camera, content.where, torch.tensor(pose, dtype=torch.float64), float(camera.max_angle))
 
-ODD = FileFormat("odd", "the odd JSON", recognizes_keys=lambda keys: "odd" in keys, contents_of_keys=contents,
-                 write_rig=write)
+ODD = FileFormat("odd", "the odd JSON", recognizes_keys=lambda keys: "odd" in keys, read_keys=read, write_rig=write)
 """
 
 SCENE = """

@@ -164,11 +164,11 @@ def test_a_few_damaged_files_are_read_or_refused(name: str, tmp_path: Path) -> N
 def format_of(path: Path) -> str | None:
     """Name of the format that recognises a file."""
     for format in file_formats():
-        if format.recognizes_file and format.contents_of_file and format.recognizes_file(path):
+        if format.recognizes_file and format.read_file and format.recognizes_file(path):
             return format.name
     content = load(path) if looks_structured(path) else None
     for format in file_formats() if isinstance(content, dict) else ():
-        if format.recognizes_keys and format.contents_of_keys and format.recognizes_keys(content):
+        if format.recognizes_keys and format.read_keys and format.recognizes_keys(content):
             return format.name
     return None
 

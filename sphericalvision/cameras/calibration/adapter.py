@@ -13,9 +13,8 @@ References:
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration
 from sphericalvision.cameras.calibration.formats import FileFormat, has_all
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called
@@ -32,13 +31,14 @@ _LENSES = (
 )
 
 
-def contents(content: Keys, path: Path, options: Options) -> Contents:
+def read(content: Keys, calibration: Calibration) -> None:
     """The camera of a parsed file."""
-    tokens = re.findall(r"[a-z]+\d*", path.stem.lower())
+    tokens = re.findall(r"[a-z]+\d*", calibration.path.stem.lower())
     named = [lens.name for lens in _LENSES if lens.name in tokens]
     if len(named) != 1:
         raise FileFormatError(
-            f"{path}: expected a model in the name of the file, as DS.yml: one of {', '.join(x.name for x in _LENSES)}"
+            f"{content.where}: expected a model in the name of the file, as DS.yml: one of "
+            f"{', '.join(lens.name for lens in _LENSES)}"
         )
     lens, values = lens_called(_LENSES, named[0]), content.inner("parameter")
     camera = lens.camera(
@@ -46,13 +46,13 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
         content.inner("image").size("width", "height"),
         values.where,
     )
-    return Gathered(options).add(path.stem, camera, values.where).contents
+    calibration.add(calibration.path.stem, camera, values.where)
 
 
 FileFormat(
     "adapter",
     "Fisheye-Calib-Adapter yaml",
     recognizes_keys=has_all("image", "parameter"),
-    contents_of_keys=contents,
+    read_keys=read,
     ignored="",
 ).register()

@@ -17,11 +17,10 @@ References:
 from __future__ import annotations
 
 import warnings
-from pathlib import Path
 
 from torch import Tensor
 
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration
 from sphericalvision.cameras.calibration.formats import FileFormat, has_all
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called
@@ -42,9 +41,9 @@ _SIZES = {"camera-slam": (480, 640), "camera-rgb": (2880, 2880), "camera-et": (2
 """(height, width) by the beginning of the label."""
 
 
-def contents(content: Keys, path: Path, options: Options) -> Contents:
+def read(content: Keys, calibration: Calibration) -> None:
     """Cameras and poses of a parsed file."""
-    calibration, nominal = Gathered(options), []
+    nominal = []
     for values in content.several("CameraCalibrations"):
         label, projection = values.entry("Label"), values.inner("Projection")
         if not isinstance(label, str):
@@ -57,18 +56,18 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
             for start, (height, width) in _SIZES.items()
             if label.startswith(start) and max(abs(u / width - 0.5), abs(v / height - 0.5)) < 0.1
         )
-        size = options.image_size or next(sizes, None)
-        size = size or options.given_size(f"{projection.where} of {label!r}")
+        size = calibration.options.image_size or next(sizes, None)
+        size = size or calibration.options.given_size(f"{projection.where} of {label!r}")
         camera = lens.camera(numbers, size, projection.where)
         calibration.add(label, camera, values.where, _pose(values.inner("T_Device_Camera")))
         if not values.get("Calibrated", True):
             nominal.append(label)
     if nominal:
         warnings.warn(
-            f"{path}: {', '.join(nominal)[:200]}: Calibrated is false: numbers of a design, not of these cameras",
+            f"{content.where}: {', '.join(nominal)[:200]}: Calibrated is false: numbers of a design, not of these "
+            "cameras",
             stacklevel=5,
         )
-    return calibration.contents
 
 
 def _pose(values: Keys) -> Tensor:
@@ -84,6 +83,6 @@ FileFormat(
     "aria",
     "Project Aria json",
     recognizes_keys=has_all("CameraCalibrations"),
-    contents_of_keys=contents,
+    read_keys=read,
     ignored=r"DeviceClassInfo|\w+Calibrations|\w*Origin\w*|.*/(SerialNumber|Description|Confidence|Time\w*)",
 ).register()

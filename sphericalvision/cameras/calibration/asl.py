@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration
 from sphericalvision.cameras.calibration.formats import FileFormat, has_any
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called, lens_of, models_of, numbers_of
@@ -48,13 +48,13 @@ def files_of_rig(folder: Path) -> list[Path]:
     return files
 
 
-def contents(content: Keys, path: Path, options: Options) -> Contents:
+def read(content: Keys, calibration: Calibration) -> None:
     """The camera of a parsed file, called like the folder that it is in, and its pose if the file has one."""
     content.chosen("sensor_type", ("camera",), default="camera")
     camera = _camera(content)
     pose = content.pose("T_BS") if "T_BS" in content else None
-    name = path.resolve().parent.name if path.name == _NAME else path.stem
-    return Gathered(options).add(name, camera, content.where, pose).contents
+    name = calibration.path.resolve().parent.name if calibration.path.name == _NAME else calibration.path.stem
+    calibration.add(name, camera, content.where, pose)
 
 
 def _camera(content: Keys) -> Camera:
@@ -107,7 +107,7 @@ FileFormat(
     "asl",
     f"EuRoC {_NAME}",
     recognizes_keys=has_any("T_BS", "sensor_type"),
-    contents_of_keys=contents,
+    read_keys=read,
     ignored="",
     files_of_rig=files_of_rig,
     usual_names=(_NAME,),

@@ -17,7 +17,7 @@ from typing import Any
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration
 from sphericalvision.cameras.calibration.formats import FileFormat, has_all
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import (
@@ -48,11 +48,11 @@ _LENSES = (
 _POSITION, _QUATERNION = ("px", "py", "pz"), ("qw", "qx", "qy", "qz")
 
 
-def contents(content: Keys, path: Path, options: Options) -> Contents:
+def read(content: Keys, calibration: Calibration) -> None:
     """Cameras, poses and masks of a parsed file."""
     value0 = content.inner("value0")
     lenses = value0.several("intrinsics")
-    poses = value0.several("T_imu_cam") if options.rig or "T_imu_cam" in value0 else []
+    poses = value0.several("T_imu_cam") if calibration.options.rig or "T_imu_cam" in value0 else []
     sizes = value0.entry("resolution")
     for key, values in (("T_imu_cam", poses or lenses), ("resolution", sizes)):
         if not isinstance(values, list) or len(values) != len(lenses):
@@ -61,14 +61,12 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
                 f"{value0.at(key)}: holds {count} cameras and intrinsics {len(lenses)}; one entry for each camera "
                 "expected"
             )
-    calibration = Gathered(options)
     for index, values in enumerate(lenses):
         size = size_from_width_height(sizes[index], f"{value0.at('resolution')}[{index}]")
-        mask_path = path.parent / f"cam{index}" / "mask.png"
+        mask_path = calibration.path.parent / f"cam{index}" / "mask.png"
         mask = read_mask(mask_path, size) if mask_path.is_file() else None
         pose = _pose(poses[index]) if poses else None
         calibration.add(f"cam{index}", _camera(values, size), values.where, pose, mask=mask)
-    return calibration.contents
 
 
 def _pose(values: Keys) -> Tensor:
@@ -113,7 +111,7 @@ FileFormat(
     "basalt",
     "Basalt json",
     recognizes_keys=has_all("value0"),
-    contents_of_keys=contents,
+    read_keys=read,
     ignored=r"value0/(\w*(accel|gyro|imu_update|mocap|marker|vignette)\w*|cam_time_offset_ns|view_offset)|value\d/cereal\w*",
     usual_names=("calibration.json",),
     models=models_of(_LENSES),

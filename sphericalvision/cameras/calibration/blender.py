@@ -19,14 +19,13 @@ References:
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.parsing import (
@@ -57,14 +56,13 @@ def recognizes(content: dict[str, Any]) -> bool:
     )
 
 
-def contents(content: Keys, path: Path, options: Options) -> Contents:
+def read(content: Keys, calibration: Calibration) -> None:
     """Cameras and poses of a parsed file."""
-    calibration, cameras = Gathered(options), content.inner("cameras")
+    cameras = content.inner("cameras")
     for name in cameras:
         lens = cameras.inner(name)
         pose = _pose(lens["matrix_world"], lens.at("matrix_world")) if "matrix_world" in lens else None
         calibration.add(str(name), _camera(lens), lens.where, pose)
-    return calibration.contents
 
 
 def _pose(rows: Any, where: str) -> Tensor:
@@ -169,7 +167,7 @@ FileFormat(
     "blender",
     "Blender cameras as json",
     recognizes_keys=recognizes,
-    contents_of_keys=contents,
+    read_keys=read,
     ignored=r"cameras/.*/(lens|lens_unit|angle(_[xy])?|ortho_scale|clip_\w+|display_\w+|dof|sensor_(width|height|fit)"
     r"|panorama_type|shift_[xy]|fisheye_(fov|lens|polynomial_k\d)|(longitude|latitude)_(min|max))",
 ).register()

@@ -21,11 +21,11 @@ from pathlib import Path
 from typing import Any
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration, Options
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys, check_understood
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called
-from sphericalvision.cameras.calibration.ocam_text import make_ocam_of_columns
+from sphericalvision.cameras.calibration.ocam_text import make_ocam
 from sphericalvision.cameras.calibration.poses import transform_from_rows
 from sphericalvision.cameras.calibration.text_files import data_lines, load_keys
 from sphericalvision.core import FileFormatError, MissingFileError
@@ -56,16 +56,15 @@ def recognizes(content: dict[str, Any]) -> bool:
     return bool(cameras) and all(recognizes(value) for value in cameras)
 
 
-def contents(content: Keys, path: Path, options: Options) -> Contents:
+def read(content: Keys, calibration: Calibration) -> None:
     """The camera of a parsed file, called by its ``camera_name``; or several cameras by name."""
-    calibration = Gathered(options)
     if "model_type" in content or any(key in content for key in _SECTIONS):
-        name = str(content.get("camera_name") or path.stem)
-        return calibration.add(name, _camera(content), content.where).contents
+        name = str(content.get("camera_name") or calibration.path.stem)
+        calibration.add(name, _camera(content), content.where)
+        return
     for name, values in content.items():
         if isinstance(values, Keys):
             calibration.add(str(name), _camera(content.inner(name)), values.where)
-    return calibration.contents
 
 
 def _camera(values: Keys) -> Camera:
@@ -89,7 +88,7 @@ def _ocam(values: Keys) -> Camera:
     ac, ad, ae, cx, cy = (affine.number(key) for key in ("ac", "ad", "ae", "cx", "cy"))
     size = values.size("image_width", "image_height")
     # inv_poly_parameters are a fit to what is inverted exactly here
-    return make_ocam_of_columns(direct, None, [cx, cy], [ac, ad, ae], size, affine.where)
+    return make_ocam(direct, None, [cx, cy], [ac, ad, ae], size, affine.where, of_columns=True)
 
 
 def camera_in(file: Path) -> Camera:
@@ -97,14 +96,14 @@ def camera_in(file: Path) -> Camera:
     content = load_keys(file, "model_type, mirror_parameters and so on")
     if not recognizes(content):
         raise FileFormatError(f"{file}: expected model_type, mirror_parameters and so on, found none of them")
-    calibration = contents(content, file, Options(max_angle=math.pi))
+    calibration = Calibration(Options(max_angle=math.pi), file)
+    read(content, calibration)
     check_understood(content, str(file), IGNORED)
     return next(iter(calibration.cameras.values()))
 
 
-def kitti360_contents(path: Path, options: Options) -> Contents:
+def read_kitti360(path: Path, calibration: Calibration) -> None:
     """The fisheyes of KITTI-360's folder ``calibration``, from its ``calib_cam_to_pose.txt``."""
-    calibration = Gathered(options)
     for line, (label, *words) in data_lines(path):
         name = label.rstrip(":")
         pose = transform_from_rows(words, f"{path}, line {line}, {name}")
@@ -115,16 +114,15 @@ def kitti360_contents(path: Path, options: Options) -> Contents:
         raise MissingFileError(
             f"{path}: none of its cameras has a file image_02.yaml, image_03.yaml beside it"
         )
-    return calibration.contents
 
 
 FileFormat(
     "camodocal",
     "KITTI-360 and other camodocal yaml",
     recognizes_keys=recognizes,
-    contents_of_keys=contents,
+    read_keys=read,
     ignored=IGNORED,
     recognizes_file=lambda path: path.name == KITTI360_POSES,
-    contents_of_file=kitti360_contents,
+    read_file=read_kitti360,
     usual_names=(KITTI360_POSES,),
 ).register()

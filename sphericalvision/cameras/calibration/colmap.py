@@ -38,7 +38,7 @@ from sphericalvision.cameras.calibration.colmap_records import (
     rigs_in,
     transform_of,
 )
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.lenses import PANORAMA, lens_of, models_of, numbers_of
 from sphericalvision.cameras.calibration.parsing import size_from_width_height, view_name
@@ -63,7 +63,7 @@ def recognizes(path: Path) -> bool:
     return bool(lines) and len(lines[0][1]) > 1 and bool(re.fullmatch(r"[A-Z][A-Z_0-9]+", lines[0][1][1]))
 
 
-def contents(path: Path, options: Options) -> Contents:
+def read(path: Path, calibration: Calibration) -> None:
     """The cameras of a model; with poses if the file is ``rigs`` or ``images``, or if poses are wanted and there.
 
     Raises:
@@ -77,37 +77,31 @@ def contents(path: Path, options: Options) -> Contents:
         )
     paths = {name: path.with_name(f"{name}{path.suffix}") for name in _PARTS}
     file = path if file_type == "cameras" else check_file(paths["cameras"], f"the cameras of {path.name}")
-    cameras = _cameras(file, options)
-    if file_type == "cameras" and options.rig:
+    if file_type == "cameras" and calibration.options.rig:
         rigs = rigs_in(paths["rigs"]) if paths["rigs"].is_file() else []
         if any(len(rig.sensors) > 1 for rig in rigs):
             file_type = "rigs"
         elif paths["images"].is_file():
             file_type = "images"
+    lenses = calibration if file_type == "cameras" else Calibration(calibration.options, file)
+    for record in cameras_in(file):
+        lenses.add(f"cam{record.id}", _camera(record), record.where)
     if file_type == "rigs":
-        return _of_rigs(rigs_in(paths["rigs"]), cameras, paths["rigs"], options)
-    if file_type == "images":
-        return _of_images(images_in(paths["images"]), cameras, paths["images"], options)
-    return Contents(cameras)
+        _add_rig(rigs_in(paths["rigs"]), lenses.cameras, paths["rigs"], calibration)
+    elif file_type == "images":
+        _add_images(images_in(paths["images"]), lenses.cameras, paths["images"], calibration)
 
 
-def _cameras(path: Path, options: Options) -> dict[str, Camera]:
-    calibration = Gathered(options)
-    for record in cameras_in(path):
-        calibration.add(f"cam{record.id}", _camera(record), record.where)
-    if not calibration.cameras:
-        raise FileFormatError(f"{path}: no camera in it")
-    return calibration.cameras
-
-
-def _of_rigs(rigs: list[RigRecord], cameras: dict[str, Camera], path: Path, options: Options) -> Contents:
+def _add_rig(
+    rigs: list[RigRecord], cameras: Mapping[str, Camera], path: Path, calibration: Calibration
+) -> None:
     several = [rig for rig in rigs if len(rig.sensors) > 1]
     if len(several) != 1:
         raise FileFormatError(
             f"{path}: expected one rig of several cameras, got {len(several)}; the poses of images are in "
             f"images{path.suffix}"
         )
-    rig, calibration = several[0], Gathered(options)
+    rig = several[0]
     for sensor in rig.sensors:
         name = f"cam{sensor.id}"
         if sensor.type != "CAMERA":
@@ -118,15 +112,11 @@ def _of_rigs(rigs: list[RigRecord], cameras: dict[str, Camera], path: Path, opti
             raise FileFormatError(f"{rig.where}: camera {sensor.id} has no pose in the rig")
         pose = invert_transform(transform_of(sensor.pose, rig.where))
         calibration.add(name, cameras[name], rig.where, pose)
-    if not calibration.cameras:
-        raise FileFormatError(f"{rig.where}: the rig has no camera")
-    return calibration.contents
 
 
-def _of_images(
-    images: list[ImageRecord], cameras: dict[str, Camera], path: Path, options: Options
-) -> Contents:
-    calibration = Gathered(options)
+def _add_images(
+    images: list[ImageRecord], cameras: Mapping[str, Camera], path: Path, calibration: Calibration
+) -> None:
     for image in images:
         name, camera = view_name(image.name), cameras.get(f"cam{image.camera}")
         if not name:
@@ -137,9 +127,6 @@ def _of_images(
             )
         pose = invert_transform(transform_of(image.pose, image.where))
         calibration.add(name, camera, image.where, pose)
-    if not calibration.cameras:
-        raise FileFormatError(f"{path}: no image in it")
-    return calibration.contents
 
 
 def _camera(record: CameraRecord) -> Camera:
@@ -243,7 +230,7 @@ FileFormat(
     "colmap",
     "COLMAP cameras, rigs and images (.txt, .bin)",
     recognizes_file=recognizes,
-    contents_of_file=contents,
+    read_file=read,
     usual_names=("cameras.bin", "cameras.txt"),
     models=models_of(LENSES),
     write_camera=write_colmap,

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -73,24 +73,74 @@ class Options:
         return METRES_PER_UNIT[unit]
 
 
-@dataclass(frozen=True)
-class Contents:
-    """Cameras in the order of a file, and their poses if it has any."""
+class Calibration:
+    """Cameras of a file in its order, and poses and masks if it has any; readers add one after the other.
 
-    cameras: Mapping[str, Camera]
-    world_from_camera: Tensor | None = None
-    """(n, 4, 4), float64, metres."""
-    masks: Mapping[str, Tensor] = field(default_factory=dict)
+    Args:
+        options: of the reader.
+        path: of the file.
 
-    def checked(self, path: Path) -> Contents:
-        """The same, with a warning of numbers that would make sense in another unit or for another size of image.
+    Attributes:
+        poses: ``(4, 4)``, float64, metres, to the world: one of each camera, or they are left out.
+    """
+
+    def __init__(self, options: Options, path: Path) -> None:
+        self.options, self.path = options, path
+        self.cameras: dict[str, Camera] = {}
+        self.poses: list[Tensor] = []
+        self.masks: dict[str, Tensor] = {}
+        self._lenses: dict[int, tuple[Camera, Camera]] = {}
+
+    @property
+    def world_from_camera(self) -> Float[Tensor, "n 4 4"] | None:
+        """The poses, if each camera has one."""
+        return torch.stack(self.poses) if 0 < len(self.poses) == len(self.cameras) else None
+
+    def add(
+        self,
+        name: str,
+        camera: Camera,
+        where: str,
+        pose: Float[Tensor, "4 4"] | None = None,
+        max_angle: float | None = None,
+        mask: Bool[Tensor, "h w"] | None = None,
+    ) -> None:
+        """Add a camera.
+
+        Args:
+            name: a name of its own.
+            camera: as wide as its model.
+            where: its place in the file, in errors.
+            pose: to the world.
+            max_angle: half the field of view that the file tells; what the caller says counts before it, and without
+                either the camera sees what its image shows.
+            mask: that shows how far the camera sees.
 
         Raises:
-            FileFormatError: a position is farther away than any place on Earth.
+            FileFormatError: there is a camera of this name, or it sees nothing.
         """
-        if self.world_from_camera is not None and (self.world_from_camera[:, :3, 3].abs() > FARTHEST).any():
+        if name in self.cameras:
+            raise FileFormatError(f"{where}: a second camera named {short_repr(name)}; give it another name")
+        limit = max_angle if self.options.max_angle is None else self.options.max_angle
+        if id(camera) not in self._lenses:  # of which there may be many views
+            self._lenses[id(camera)] = camera, bounded(camera, limit, where, mask)
+        self.cameras[name] = self._lenses[id(camera)][1]
+        if pose is not None:
+            self.poses.append(pose)
+        if mask is not None:
+            self.masks[name] = mask
+
+    def check(self) -> None:
+        """Warn of numbers that would make sense in another unit or for another size of image.
+
+        Raises:
+            FileFormatError: there is no camera, or a position is farther away than any place on Earth.
+        """
+        if not self.cameras:
+            raise FileFormatError(f"{self.path}: no camera in it")
+        if any(bool((pose[:3, 3].abs() > FARTHEST).any()) for pose in self.poses):
             raise FileFormatError(
-                f"{path}: a camera is more than {FARTHEST:g} m from the origin; expected metres"
+                f"{self.path}: a camera is more than {FARTHEST:g} m from the origin; expected metres"
             )
         lenses: dict[int, tuple[str, Camera]] = {}
         for name, camera in self.cameras.items():
@@ -98,11 +148,10 @@ class Contents:
         for name, camera in lenses.values():
             if doubts := _doubts(camera):  # of which the first camera's are probably those of all
                 for doubt in doubts:
-                    warnings.warn(f"{path}, {name:.80}: {doubt}", stacklevel=5)
+                    warnings.warn(f"{self.path}, {name:.80}: {doubt}", stacklevel=5)
                 break
-        return self
 
-    def is_like(self, other: Contents) -> bool:
+    def is_like(self, other: Calibration) -> bool:
         """Whether the cameras and poses are the same but for rounding."""
 
         def near(first: Tensor | None, second: Tensor | None) -> bool:
@@ -130,7 +179,7 @@ class Contents:
         target = dtype or torch.get_default_dtype()
         return {name: camera.to(target) for name, camera in self.cameras.items()}
 
-    def rig(self, path: Path, dtype: torch.dtype | None) -> CameraRig:
+    def rig(self, dtype: torch.dtype | None) -> CameraRig:
         """The rig, which must have poses.
 
         Raises:
@@ -140,12 +189,12 @@ class Contents:
             several = f"{len(self.cameras)} cameras" if len(self.cameras) > 1 else "one camera"
             hint = "read_cameras" if len(self.cameras) > 1 else "read_camera"
             raise FileFormatError(
-                f"{path}: holds {several} without poses, which makes no rig: use {hint}, and build a CameraRig with "
-                "poses of your own"
+                f"{self.path}: holds {several} without poses, which makes no rig: use {hint}, and build a CameraRig "
+                "with poses of your own"
             )
-        with errors_of_file(str(path)):
+        with errors_of_file(str(self.path)):
             rig = CameraRig(self.cameras, self.world_from_camera, dict(self.masks))
-            return check_radius(rig.to(dtype=dtype or torch.get_default_dtype()), path)
+            return check_radius(rig.to(dtype=dtype or torch.get_default_dtype()), self.path)
 
 
 def _doubts(camera: Camera) -> list[str]:
@@ -198,80 +247,25 @@ def warn_left_out(path: Path, reason: str, names: Sequence[str]) -> None:
         warnings.warn(f"{path}: {len(names)} left out, {reason}: {first}", stacklevel=5)
 
 
-class Gathered:
-    """Cameras as they come out of a file, one after the other: what all readers do with them.
-
-    Args:
-        options: of the reader.
-    """
-
-    def __init__(self, options: Options) -> None:
-        self.options = options
-        self.cameras: dict[str, Camera] = {}
-        self._poses: list[Tensor] = []
-        self.masks: dict[str, Tensor] = {}
-        self._lenses: dict[int, tuple[Camera, Camera]] = {}
-
-    def add(
-        self,
-        name: str,
-        camera: Camera,
-        where: str,
-        pose: Float[Tensor, "4 4"] | None = None,
-        max_angle: float | None = None,
-        mask: Bool[Tensor, "h w"] | None = None,
-    ) -> Gathered:
-        """Add a camera.
-
-        Args:
-            name: a name of its own.
-            camera: as wide as its model.
-            where: its place in the file, in errors.
-            pose: to the world.
-            max_angle: half the field of view that the file tells; what the caller says counts before it, and without
-                either the camera sees what its image shows.
-            mask: that shows how far the camera sees.
-
-        Raises:
-            FileFormatError: there is a camera of this name, or it sees nothing.
-        """
-        if name in self.cameras:
-            raise FileFormatError(f"{where}: a second camera named {short_repr(name)}; give it another name")
-        limit = max_angle if self.options.max_angle is None else self.options.max_angle
-        if id(camera) not in self._lenses:  # of which there may be many views
-            self._lenses[id(camera)] = camera, bounded(camera, limit, where, mask)
-        self.cameras[name] = self._lenses[id(camera)][1]
-        if pose is not None:
-            self._poses.append(pose)
-        if mask is not None:
-            self.masks[name] = mask
-        return self
-
-    @property
-    def contents(self) -> Contents:
-        """All of them, with poses if each has one."""
-        poses = torch.stack(self._poses) if 0 < len(self._poses) == len(self.cameras) else None
-        return Contents(self.cameras, poses, self.masks)
-
-
-def joined(parts: list[tuple[Path, Contents]]) -> Contents:
-    """One rig from the files of several cameras.
+def joined(path: Path, parts: Sequence[Calibration]) -> Calibration:
+    """One rig from the files of several cameras in a folder.
 
     Raises:
         FileFormatError: two files have a camera of one name, or one has no pose.
     """
-    cameras: dict[str, Camera] = {}
+    rig = Calibration(Options(), path)
     source: dict[str, str] = {}
-    poses = []
-    for path, part in parts:
+    for part in parts:
         for name, camera in part.cameras.items():
-            if name in cameras:
+            if name in rig.cameras:
                 raise FileFormatError(
-                    f"{path}: a second camera named {short_repr(name)} (the first is in {source[name]}); a rig has one "
-                    "file for each camera: copy those into a folder of their own"
+                    f"{part.path}: a second camera named {short_repr(name)} (the first is in {source[name]}); a rig "
+                    "has one file for each camera: copy those into a folder of their own"
                 )
             if part.world_from_camera is None:
-                raise FileFormatError(f"{path}: no pose of this camera; a rig needs one for every camera")
-            cameras[name], source[name] = camera, path.name
-            poses.append(part.world_from_camera)
-    return Contents(cameras, torch.cat(poses))
+                raise FileFormatError(
+                    f"{part.path}: no pose of this camera; a rig needs one for every camera"
+                )
+            rig.cameras[name], source[name] = camera, part.path.name
+        rig.poses += part.poses
+    return rig

@@ -13,7 +13,7 @@ from pathlib import Path
 import torch
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Options, joined
+from sphericalvision.cameras.calibration.contents import Calibration, Options, joined
 from sphericalvision.cameras.calibration.formats import FileFormat, file_formats, known_formats
 from sphericalvision.cameras.calibration.keys import Keys, check_understood
 from sphericalvision.cameras.calibration.text_files import STRUCTURED, load, looks_structured
@@ -57,8 +57,7 @@ def read_rig(
         (['cam1', 'cam2', 'cam3'], 0.1)
     """
     options = Options(max_angle, dtype, translation_unit, image_size, rig=True)
-    path, calibration = _contents(path, options)
-    return calibration.rig(path, dtype)
+    return _calibration(path, options).rig(dtype)
 
 
 def read_cameras(
@@ -77,7 +76,7 @@ def read_cameras(
         'FisheyeCamera'
     """
     options = Options(max_angle, dtype, "m", image_size)  # positions are not looked at, so any unit will do
-    return _contents(path, options)[1].cast(dtype)
+    return _calibration(path, options).cast(dtype)
 
 
 def read_camera(
@@ -116,8 +115,8 @@ def read_camera(
     return cameras[name]
 
 
-def _contents(path: str | Path, options: Options) -> tuple[Path, Contents]:
-    """The file that was read, and what it holds."""
+def _calibration(path: str | Path, options: Options) -> Calibration:
+    """What a file or folder holds."""
     check_type("path", path, (str, Path))
     if options.max_angle is not None and not 0 < float(options.max_angle) < 3.1416:
         raise ArgumentError(
@@ -125,7 +124,7 @@ def _contents(path: str | Path, options: Options) -> tuple[Path, Contents]:
         )
     path, *others = _calibration_files(Path(path))
     if others and path.is_dir():
-        calibration = joined([(part, _read(part, options)) for part in others])
+        calibration = joined(path, [_read(part, options) for part in others])
     else:
         calibration = _read(path, options)
         for twin in others:
@@ -141,31 +140,35 @@ def _contents(path: str | Path, options: Options) -> tuple[Path, Contents]:
                 f"image_size: {path} says itself that images of {name:.80} are {camera.image_size} (height, width), "
                 f"got {tuple(options.image_size)}; leave it out, or bring the camera to that size: camera.resized"
             )
-    return path, calibration
+    return calibration
 
 
-def _read(path: Path, options: Options) -> Contents:
+def _read(path: Path, options: Options) -> Calibration:
     """What a file holds, by the first format that recognises it."""
+    calibration = Calibration(options, path)
     for format in file_formats() if path.suffix.lower() not in STRUCTURED else ():
-        if format.recognizes_file and format.contents_of_file and format.recognizes_file(path):
+        if format.recognizes_file and format.read_file and format.recognizes_file(path):
             _check_unit(path, format, options)
-            return format.contents_of_file(path, options).checked(path)
+            format.read_file(path, calibration)
+            calibration.check()
+            return calibration
     content = load(path) if looks_structured(path) else None
     entries = content if isinstance(content, list) else [content]
     content = entries[0] if entries else None
     for format in file_formats():
         if not isinstance(content, Keys):
             break
-        if format.recognizes_keys and format.contents_of_keys and format.recognizes_keys(content):
+        if format.recognizes_keys and format.read_keys and format.recognizes_keys(content):
             _check_unit(path, format, options)
             if len(entries) > 1:
                 raise FileFormatError(
                     f"{path}: holds a list of {len(entries)}: {format.title}; keep one of them"
                 )
             content.forget()
-            calibration = format.contents_of_keys(content, path, options)
+            format.read_keys(content, calibration)
             check_understood(content, str(path), format.ignored)
-            return calibration.checked(path)
+            calibration.check()
+            return calibration
     keys = f"; its keys are {', '.join(map(str, content))[:200]}" if isinstance(content, dict) else ""
     raise FileFormatError(f"{path}: {_likely_program(path)}; {known_formats()}{keys}")
 

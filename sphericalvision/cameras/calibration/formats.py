@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Calibration
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.rig import CameraRig
 from sphericalvision.extensions import Registry
@@ -34,12 +34,12 @@ class FileFormat:
     """In messages: the program and its file."""
     recognizes_keys: Callable[[dict[str, Any]], bool] | None = None
     """Whether parsed keys with values are of this format; at most one format says so of a whole file."""
-    contents_of_keys: Callable[[Keys, Path, Options], Contents] | None = None
+    read_keys: Callable[[Keys, Calibration], None] | None = None
     ignored: str = ".*"
     """Keys that do not matter, as ``check_understood`` has them; any other key that is not read is refused."""
     recognizes_file: Callable[[Path], bool] | None = None
     """The same of a file that is no such thing, by its name or content."""
-    contents_of_file: Callable[[Path, Options], Contents] | None = None
+    read_file: Callable[[Path, Calibration], None] | None = None
     usual_names: tuple[str, ...] = ()
     """By which its file is found in a folder, the first one that is there."""
     files_of_rig: Callable[[Path], list[Path]] | None = None

@@ -12,9 +12,7 @@ References:
 
 from __future__ import annotations
 
-from pathlib import Path
-
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration
 from sphericalvision.cameras.calibration.formats import FileFormat, has_all
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import distorted
@@ -22,7 +20,7 @@ from sphericalvision.cameras.calibration.parsing import camera_matrix
 from sphericalvision.core import FileFormatError
 
 
-def contents(content: Keys, path: Path, options: Options) -> Contents:
+def read(content: Keys, calibration: Calibration) -> None:
     """The camera of a parsed file."""
     if content.get("distortion_model"):
         content.chosen("distortion_model", ("opencv_fisheye",))
@@ -39,14 +37,14 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
         plane[2:] = width / 2, height / 2
     numbers = [*plane, *lens.matrix("distortion_coeffs", 4)]
     camera = distorted("equidistant", numbers, size, content.where, skew)
-    return Gathered(options).add(path.stem, camera, content.where).contents
+    calibration.add(calibration.path.stem, camera, content.where)
 
 
 FileFormat(
     "gyroflow",
     "Gyroflow lens profile",
     recognizes_keys=has_all("fisheye_params", "calib_dimension"),
-    contents_of_keys=contents,
+    read_keys=read,
     ignored=r"(?!(calib|crop|input|distortion|asym|digital_lens$|interpol|fisheye))[^/]+"
     r"|(calib_dimension|fisheye_params)/(radial_distortion_limit|RMS_error)|calibrated_by|calibrator_version|crop_factor|crop",
 ).register()

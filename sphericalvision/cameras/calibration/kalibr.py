@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens, as_rig, lens_called, lens_of, models_of
@@ -56,18 +56,19 @@ def recognizes(content: dict[str, Any]) -> bool:
     return any(not isinstance(content[name], dict) or keys & set(content[name]) for name in _names(content))
 
 
-def contents(content: Keys, path: Path, options: Options) -> Contents:
+def read(content: Keys, calibration: Calibration) -> None:
     """Cameras and poses of a parsed camchain."""
     names = _names(content)
     chain = [content.inner(name) for name in names]
     topics = [topic for values in chain if (topic := values.get("rostopic", ""))]
     if copied := [topic for topic in topics if topics.count(topic) > 1]:
-        raise FileFormatError(f"{path}: two cameras have the rostopic {copied[0]!r:.80}; correct one")
+        raise FileFormatError(
+            f"{content.where}: two cameras have the rostopic {copied[0]!r:.80}; correct one"
+        )
     cameras = [_camera(values) for values in chain]
-    calibration, poses = Gathered(options), _poses(chain, names, path)
+    poses = _poses(chain, names, calibration.path)
     for name, values, camera, pose in zip(names, chain, cameras, poses, strict=True):
         calibration.add(name, camera, values.where, pose)
-    return calibration.contents
 
 
 def _camera(values: Keys) -> Camera:
@@ -185,7 +186,7 @@ FileFormat(
     "kalibr",
     "Kalibr camchain",
     recognizes_keys=recognizes,
-    contents_of_keys=contents,
+    read_keys=read,
     ignored=r"imu\d*|T_imu_body|.*/(rostopic|cam_overlaps|line_delay\w*)",
     usual_names=("camchain.yaml",),
     models=models_of(_LENSES),

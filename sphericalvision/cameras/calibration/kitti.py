@@ -15,7 +15,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys, check_understood
 from sphericalvision.cameras.calibration.lenses import distorted
@@ -37,7 +37,7 @@ def recognizes(path: Path) -> bool:
     return bool(lines) and bool(_KEY.fullmatch(lines[0][1][0]))
 
 
-def contents(path: Path, options: Options) -> Contents:
+def read(path: Path, calibration: Calibration) -> None:
     """The cameras of unrectified images and their poses."""
     table = Keys(str(path))
     for line, (label, *words) in data_lines(path):
@@ -45,7 +45,6 @@ def contents(path: Path, options: Options) -> Contents:
             raise FileFormatError(f"{path}, line {line}: expected a key of its own first, got {label!r}")
         table[label[:-1]] = words
     table.forget()
-    calibration = Gathered(options)
     for index in sorted(key[2:] for key in table if re.fullmatch(r"K_\d\d", key)) or ["00"]:
         plane, _ = camera_matrix(table.numbers(f"K_{index}", 9), table.at(f"K_{index}"))
         numbers = [*plane, *table.numbers(f"D_{index}", 5)]
@@ -54,13 +53,12 @@ def contents(path: Path, options: Options) -> Contents:
         pose = invert_transform(transform_from_rotation(*motion, table.at(f"R_{index}")))
         calibration.add(f"cam{int(index)}", camera, table.at(f"K_{index}"), pose)
     check_understood(table, str(path), r"corner_dist|(S_rect|R_rect|P_rect|P)_\d\d")
-    return calibration.contents
 
 
 FileFormat(
     "kitti",
     f"KITTI {KITTI_NAME}",
     recognizes_file=recognizes,
-    contents_of_file=contents,
+    read_file=read,
     usual_names=(KITTI_NAME,),
 ).register()

@@ -12,10 +12,9 @@ References:
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import distorted
@@ -29,14 +28,15 @@ def recognizes(content: dict[str, Any]) -> bool:
     return "nb_camera" in content or any(isinstance(c, dict) and "camera_pose_matrix" in c for c in cameras)
 
 
-def contents(content: Keys, path: Path, options: Options) -> Contents:
+def read(content: Keys, calibration: Calibration) -> None:
     """Cameras and poses of a parsed file."""
     names = [f"camera_{index}" for index in range(content.count("nb_camera", 1000))]
     several = [content.inner(name) for name in names]
     if len({str(values.get("camera_group")) for values in several}) > 1:
-        raise FileFormatError(f"{path}, camera_group: the groups have no common frame; keep one of them")
-    unit = options.metres(str(path), "camera_pose_matrix, which is that of the board")
-    calibration = Gathered(options)
+        raise FileFormatError(
+            f"{content.where}, camera_group: the groups have no common frame; keep one of them"
+        )
+    unit = calibration.options.metres(content.where, "camera_pose_matrix, which is that of the board")
     for name, values in zip(names, several, strict=True):
         plane, _ = camera_matrix(values.matrix("camera_matrix", 9), values.at("camera_matrix"))
         numbers = [*plane, *values.matrix("distortion_vector")]
@@ -48,14 +48,13 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
         pose = values.pose("camera_pose_matrix")
         pose[:3, 3] *= unit
         calibration.add(name, camera, values.where, pose)
-    return calibration.contents
 
 
 FileFormat(
     "mc_calib",
     "MC-Calib calibrated_cameras_data",
     recognizes_keys=recognizes,
-    contents_of_keys=contents,
+    read_keys=read,
     tells_unit=False,
     ignored="",
 ).register()

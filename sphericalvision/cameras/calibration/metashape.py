@@ -26,7 +26,7 @@ from typing import Any
 import torch
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options, warn_left_out
+from sphericalvision.cameras.calibration.contents import Calibration, warn_left_out
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import Lens
@@ -63,17 +63,19 @@ def recognizes(content: dict[str, Any]) -> bool:
     )
 
 
-def contents(content: Keys, path: Path, options: Options) -> Contents:
+def read(content: Keys, calibration: Calibration) -> None:
     """The calibration of a file, or the sensors of a chunk; the chunk's cameras by label if poses are wanted."""
     if "calibration" in content:
-        camera = _camera(content.inner("calibration"), Keys(), str(path))
-        return Gathered(options).add(path.stem, camera, str(path)).contents
+        camera = _camera(content.inner("calibration"), Keys(), content.where)
+        calibration.add(calibration.path.stem, camera, content.where)
+        return
     chunk = content.inner("document").inner("chunk")
-    sensors = Gathered(options)
+    wants_poses = calibration.options.rig
+    sensors = Calibration(calibration.options, calibration.path) if wants_poses else calibration
     offsets: dict[str, torch.Tensor] = {}
     for sensor in _each(chunk.get("sensors"), "sensor"):
         name = f"cam{sensor.get('id')}"
-        where = f"{path}, sensor {sensor.get('id')!s:.80}"
+        where = f"{content.where}, sensor {sensor.get('id')!s:.80}"
         # The adjusted one counts, wherever it stands; of several, and where none is called so, the last.
         calibrations = sorted(_each(sensor, "calibration"), key=lambda own: own.get("class") == "adjusted")
         if calibrations:
@@ -81,7 +83,7 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
             sensors.add(name, _camera(calibrations[-1], sensor, where), where)
         elif str(sensor.get("type")).strip() == "spherical":  # a panorama has nothing to calibrate
             sensors.add(name, _camera(Keys(sensor.where), sensor, where), where)
-        else:  # of images that were not aligned; ``_of_cameras`` refuses one that was
+        else:  # of images that were not aligned; ``_add_cameras`` refuses one that was
             sensor.clear()
         offset = [sensor.get(key) for key in ("rotation", "location")]
         if any(
@@ -90,8 +92,9 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
             turn, place = (_floats(sensor.entry(key), f"{where}, {key}") for key in ("rotation", "location"))
             offsets[name] = transform_from_rotation(turn, place, f"{where}, rotation and location")
     if not sensors.cameras:
-        raise FileFormatError(f"{path}: no sensor with a calibration in it")
-    return _of_cameras(chunk, sensors.cameras, offsets, path) if options.rig else sensors.contents
+        raise FileFormatError(f"{content.where}: no sensor with a calibration in it")
+    if wants_poses:
+        _add_cameras(chunk, sensors.cameras, offsets, calibration)
 
 
 def _each(values: Any, key: str) -> Iterator[Keys]:
@@ -108,13 +111,13 @@ def _floats(value: Any, where: str, count: int | None = None) -> list[float]:
     return numbers(str(text).split(), where, count)
 
 
-def _of_cameras(
-    chunk: Keys, sensors: dict[str, Camera], offsets: dict[str, torch.Tensor], path: Path
-) -> Contents:
+def _add_cameras(
+    chunk: Keys, sensors: dict[str, Camera], offsets: dict[str, torch.Tensor], calibration: Calibration
+) -> None:
+    path = calibration.path
     elements = {str(camera.get("id")): camera for camera in _cameras_in(chunk.get("cameras"))}
     components = {str(part.get("id")): part for part in _each(chunk.get("components"), "component")}
-    cameras: dict[str, Camera] = {}
-    poses, used = [], set()
+    used = set()
     disabled: dict[str, Keys] = {}
     for camera in elements.values():
         sensor, name = f"cam{camera.get('sensor_id')}", view_name(camera.get("label") or camera.get("id"))
@@ -128,7 +131,7 @@ def _of_cameras(
         transform = camera.get("transform", master.get("transform"))
         if transform is None:
             continue  # was not aligned
-        if name in cameras:
+        if name in calibration.cameras:
             raise FileFormatError(
                 f"{where}: a second camera has this label, perhaps in another group; give each a label of its own in "
                 "Metashape, such as group/image"
@@ -145,9 +148,9 @@ def _of_cameras(
                 )
             pose = pose @ offsets[sensor]
         used.add(str(master.get("component_id")))
-        cameras[name] = sensors[sensor]
-        poses.append(pose)
-    if not cameras:
+        calibration.cameras[name] = sensors[sensor]
+        calibration.poses.append(pose)
+    if not calibration.cameras:
         raise FileFormatError(f"{path}: no camera in it is enabled and has a transform")
     warn_left_out(path, "which the file marks as disabled", list(disabled))
     for camera in disabled.values():  # which may be the master of another one
@@ -156,9 +159,9 @@ def _of_cameras(
         raise FileFormatError(
             f"{path}: the cameras are of {len(used)} components, which have no common frame; export one"
         )
-    world_from_camera = torch.stack(poses)
-    world_from_camera[:, :3, 3] *= _metres(chunk, components.get(used.pop()), path)
-    return Contents(cameras, world_from_camera)
+    metres = _metres(chunk, components.get(used.pop()), path)
+    for pose in calibration.poses:
+        pose[:3, 3] *= metres
 
 
 def _cameras_in(values: Any) -> Iterator[Keys]:
@@ -231,6 +234,6 @@ FileFormat(
     "metashape",
     "Metashape xml",
     recognizes_keys=recognizes,
-    contents_of_keys=contents,
+    read_keys=read,
     ignored=_IGNORED,
 ).register()

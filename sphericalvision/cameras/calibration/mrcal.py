@@ -14,7 +14,7 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import as_keys, check_understood, with_keys
 from sphericalvision.cameras.calibration.lenses import distorted
@@ -42,7 +42,7 @@ def files_of_rig(folder: Path) -> list[Path]:
     return sorted(folder.glob("*.cameramodel"), key=by_numbers)
 
 
-def contents(path: Path, options: Options) -> Contents:
+def read(path: Path, calibration: Calibration) -> None:
     """The camera of a file, called like it, and its pose."""
     where = str(path)
     try:
@@ -55,13 +55,13 @@ def contents(path: Path, options: Options) -> Contents:
     motion = values.numbers(key, 6)
     check_understood(values, where, "valid_intrinsics_region|icam_intrinsics|optimization_inputs")
     pose = invert_transform(transform_from_rotation_vector(motion[:3], motion[3:], values.at(key)))
-    return Gathered(options).add(path.stem, camera, where, pose).contents
+    calibration.add(path.stem, camera, where, pose)
 
 
 FileFormat(
     "mrcal",
     "mrcal cameramodel",
     recognizes_file=recognizes,
-    contents_of_file=contents,
+    read_file=read,
     files_of_rig=files_of_rig,
 ).register()

@@ -18,15 +18,14 @@ References:
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import Any
 
 import torch
 
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys, check_understood
-from sphericalvision.cameras.calibration.ocam_text import make_ocam_of_columns
+from sphericalvision.cameras.calibration.ocam_text import make_ocam
 from sphericalvision.cameras.calibration.text_files import load_keys
 from sphericalvision.cameras.models.ocam import OCamCamera
 from sphericalvision.core import FileFormatError, check_file
@@ -42,22 +41,23 @@ def recognizes(content: dict[str, Any]) -> bool:
     return any(re.match(r"(Camera\.(a|pol|I[wh]|nr(inv)?pol)|CameraSystem\.)", str(key)) for key in content)
 
 
-def contents(content: Keys, path: Path, options: Options) -> Contents:
+def read(content: Keys, calibration: Calibration) -> None:
     """The camera of a parsed file, or the rig of one with poses, whose cameras are in files beside it."""
-    calibration = Gathered(options)
     if not any(str(key).startswith("CameraSystem.") for key in content):
-        return calibration.add(path.stem, _camera(content), str(path)).contents
+        calibration.add(calibration.path.stem, _camera(content), content.where)
+        return
     for index in range(content.count("CameraSystem.nrCams", 100)):
         name = f"cam{index + 1}"
         keys = [f"CameraSystem.{name}_{place}" for place in range(1, 7)]
         row = torch.tensor([content.number(key) for key in keys], dtype=torch.float64)
-        file = check_file(path.with_name(_CAMERA_FILE.format(index=index)), f"the camera of {keys[0][:-2]}")
+        file = check_file(
+            calibration.path.with_name(_CAMERA_FILE.format(index=index)), f"the camera of {keys[0][:-2]}"
+        )
         values = load_keys(file, "keys like Camera.a0")
         camera = _camera(values)
         check_understood(values, str(file), _IGNORED)
         quaternion = torch.cat((row.new_ones(1), row[:3]))  # (1, c) up to its length
         calibration.add(name, camera, str(file), transform_from_quaternion(quaternion, row[3:]))
-    return calibration.contents
 
 
 def _polynomial(content: Keys, name: str, count_key: str) -> list[float]:
@@ -75,14 +75,14 @@ def _camera(content: Keys) -> OCamCamera:
     inverse = _polynomial(content, "pol", "Camera.nrinvpol")
     c, d, e, u0, v0 = (content.number(f"Camera.{key}") for key in ("c", "d", "e", "u0", "v0"))
     size = content.size("Camera.Iw", "Camera.Ih")
-    return make_ocam_of_columns(direct, inverse, [u0, v0], [c, d, e], size, content.at("Camera.c"))
+    return make_ocam(direct, inverse, [u0, v0], [c, d, e], size, content.at("Camera.c"), of_columns=True)
 
 
 FileFormat(
     "multicol",
     "Lafida/MultiCol yaml",
     recognizes_keys=recognizes,
-    contents_of_keys=contents,
+    read_keys=read,
     ignored=_IGNORED,
     usual_names=(MULTICOL_POSES,),
 ).register()

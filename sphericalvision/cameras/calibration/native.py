@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import torch
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Options
+from sphericalvision.cameras.calibration.contents import Calibration, Options
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys, as_keys, with_keys
 from sphericalvision.cameras.calibration.parsing import errors_of_file, size_from_width_height
@@ -69,26 +68,28 @@ def recognizes(content: dict[str, Any]) -> bool:
     return content.get("format") in (CAMERA_FORMAT, RIG_FORMAT)
 
 
-def contents(content: Keys, path: Path, options: Options) -> Contents:
+def read(content: Keys, calibration: Calibration) -> None:
     """The camera or the rig of a parsed file; masks are looked up beside ``path``."""
+    path, options = calibration.path, calibration.options
     version = content.entry("version")
     if version != VERSION:
         raise FileFormatError(
-            f"{path}, version: this release reads version {VERSION}, got {short_repr(version)}"
+            f"{content.where}, version: this release reads version {VERSION}, got {short_repr(version)}"
         )
     if content["format"] == CAMERA_FORMAT:
-        return Contents({path.stem: _limited(camera_from_dict(content, str(path), options.dtype), options)})
-    cameras: dict[str, Camera] = {}
-    poses, masks = [], {}
+        camera = camera_from_dict(content, content.where, options.dtype)
+        calibration.cameras[path.stem] = _limited(camera, options)
+        return
     for values in content.several("cameras"):
         name = str(values.entry("name"))
-        if name in cameras:
+        if name in calibration.cameras:
             raise FileFormatError(f"{values.at('name')}: a second camera named {short_repr(name)}")
-        cameras[name] = _limited(camera_from_dict(values, values.where, options.dtype), options)
-        poses.append(values.matrix("world_from_camera", 16))
+        camera = _limited(camera_from_dict(values, values.where, options.dtype), options)
+        calibration.cameras[name] = camera
+        pose = values.matrix("world_from_camera", 16)
+        calibration.poses.append(torch.tensor(pose, dtype=torch.float64).reshape(4, 4))
         if values.get("mask"):
-            masks[name] = read_mask(path.parent / str(values["mask"]), cameras[name].image_size)
-    return Contents(cameras, torch.tensor(poses, dtype=torch.float64).reshape(-1, 4, 4), masks)
+            calibration.masks[name] = read_mask(path.parent / str(values["mask"]), camera.image_size)
 
 
 def _limited(camera: Camera, options: Options) -> Camera:
@@ -99,7 +100,7 @@ FileFormat(
     "native",
     "the package's own YAML (save_camera, save_rig)",
     recognizes_keys=recognizes,
-    contents_of_keys=contents,
+    read_keys=read,
     ignored="config|dataset",  # of data sets, whose config.yaml may hold a rig of this kind
     usual_names=("rig.yaml",),
     write_camera=write_camera,

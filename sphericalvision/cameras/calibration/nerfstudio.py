@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options, warn_left_out
+from sphericalvision.cameras.calibration.contents import Calibration, Options, warn_left_out
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import PANORAMA, Lens, as_rig, lens_called, lens_of, models_of
@@ -70,17 +70,19 @@ def recognizes(content: dict[str, Any]) -> bool:
     return "frames" in content and "cameras" not in content and not (frames and is_other)
 
 
-def contents(content: Keys, path: Path, options: Options) -> Contents:
+def read(content: Keys, calibration: Calibration) -> None:
     """A camera for each frame if poses are wanted, else the lenses."""
-    frames = _usable(content, path)
+    frames = _usable(content, calibration.path)
     own = [bool(_OWN & set(frame)) for frame in frames]
     for key in ("scale", "applied_scale"):
         if content.number(key, 1) != 1:
             raise FileFormatError(
                 f"{content.at(key)}: expected 1, got {content[key]}; divide the positions by it"
             )
+    options, missing = calibration.options, []
     shared = None if all(own) else _camera(content, options)
-    calibration, missing = Gathered(options), []
+    is_lens = not options.rig and not any(own)
+    views = Calibration(options, calibration.path) if is_lens else calibration
     for frame, has_own in zip(frames, own, strict=True):
         name = view_name(frame.entry("file_path"))
         for key in sorted(_OWN & set(content)) if has_own else ():
@@ -89,17 +91,16 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
                     f"{frame.at(key)}: expected what the file says for all frames; keep the right one"
                 )
         camera = shared if shared and not has_own else _camera(frame, options)
-        calibration.add(name, camera, frame.where, frame.pose("transform_matrix") @ OPENGL_FROM_OPENCV)
+        views.add(name, camera, frame.where, frame.pose("transform_matrix") @ OPENGL_FROM_OPENCV)
         if mask := frame.get("mask_path"):
-            file = path.parent / str(mask)
+            file = calibration.path.parent / str(mask)
             if file.is_file():
-                calibration.masks[name] = read_mask(file, camera.image_size)
+                views.masks[name] = read_mask(file, camera.image_size)
             else:  # ScanNet++ counts them from a folder that the file does not name
                 missing.append(str(mask))
-    warn_left_out(path, "masks that are not there, give them as masks=", missing)
-    if not options.rig and shared and not any(own):
-        return Gathered(options).add("cam1", shared, content.where).contents
-    return calibration.contents
+    warn_left_out(calibration.path, "masks that are not there, give them as masks=", missing)
+    if is_lens and shared:
+        calibration.add("cam1", shared, content.where)
 
 
 def _usable(content: Keys, path: Path) -> list[Keys]:
@@ -227,7 +228,7 @@ FileFormat(
     "nerfstudio",
     "nerfstudio and instant-ngp transforms.json",
     recognizes_keys=recognizes,
-    contents_of_keys=contents,
+    read_keys=read,
     ignored=_IGNORED,
     usual_names=("transforms.json",),
     models=models_of(_LENSES),

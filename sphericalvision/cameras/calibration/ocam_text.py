@@ -15,7 +15,7 @@ from pathlib import Path
 import torch
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.lenses import check_holds, numbers_of
 from sphericalvision.cameras.calibration.parsing import errors_of_file, numbers, size_from_width_height
@@ -48,15 +48,15 @@ def recognizes(path: Path) -> bool:
     return not lines or bool(re.match(r"\d{1,3}(\.0*)?( [-+.\dni]|$)", " ".join(lines[0][1])))
 
 
-def contents(path: Path, options: Options) -> Contents:
+def read(path: Path, calibration: Calibration) -> None:
     """The camera of a text file, or those of the folder in which ``poses.txt`` lies."""
     if path.name == _POSES:
-        return _folder_contents(path.parent, options)
-    if options.translation_unit not in (None, "m"):
-        raise ArgumentError(
-            f"translation_unit: {path} is one camera without a translation, got {options.translation_unit!r}"
-        )
-    return Gathered(options).add(path.stem, _ocam(path), str(path)).contents
+        _read_folder(path.parent, calibration)
+        return
+    unit = calibration.options.translation_unit
+    if unit not in (None, "m"):
+        raise ArgumentError(f"translation_unit: {path} is one camera without a translation, got {unit!r}")
+    calibration.add(path.stem, _ocam(path), str(path))
 
 
 def counted(values: list[float], where: str) -> list[float]:
@@ -80,33 +80,26 @@ def make_ocam(
     affine: Sequence[float],
     size: tuple[int, int],
     where: str,
+    *,
+    of_columns: bool = False,
 ) -> OCamCamera:
-    """A camera of polynomials, a centre as (u, v) and OCamCalib's affine part, checked by ``check_inverse``."""
+    """A camera of polynomials, a centre as (u, v) and an affine part c d e, checked by ``check_inverse``.
+
+    The affine part is OCamCalib's; or with ``of_columns`` that of a program in which it acts on (x, y), not on (row,
+    column). With radii in units c times smaller it is an ``OCamCamera``, which has 1 where that program has c.
+    """
+    if of_columns:
+        c, d, e = affine
+        if not 1e-3 < c < 1e3:  # it is a ratio of two sides of a pixel
+            raise FileFormatError(f"{where}: expected the first number of the affine part about 1, got {c:g}")
+        direct = [value * c ** (1 - power) for power, value in enumerate(direct)]
+        inverse = None if inverse is None else [value * c for value in inverse]
+        affine = [1 / c, e / c, d / c]
     with errors_of_file(where):
         camera = OCamCamera(
             torch.tensor(direct, dtype=torch.float64), inverse, center, affine, size, max_angle=math.pi
         )
     return check_inverse(camera, where)
-
-
-def make_ocam_of_columns(
-    direct: Sequence[float],
-    inverse: Sequence[float] | None,
-    center: Sequence[float],
-    affine: Sequence[float],
-    size: tuple[int, int],
-    where: str,
-) -> OCamCamera:
-    """A camera of a program whose affine part c d e acts on (x, y), not on (row, column).
-
-    With radii in units c times smaller it is an ``OCamCamera``, which has 1 where that program has c.
-    """
-    c, d, e = affine
-    if not 1e-3 < c < 1e3:  # it is a ratio of two sides of a pixel
-        raise FileFormatError(f"{where}: expected the first number of the affine part about 1, got {c:g}")
-    direct = [value * c ** (1 - power) for power, value in enumerate(direct)]
-    inverse = None if inverse is None else [value * c for value in inverse]
-    return make_ocam(direct, inverse, center, [1 / c, e / c, d / c], size, where)
 
 
 def check_inverse(camera: OCamCamera, where: str) -> OCamCamera:
@@ -155,7 +148,7 @@ def _ocam(path: Path) -> OCamCamera:
     return make_ocam(direct, inverse, center[::-1], affine, image_size, str(path))
 
 
-def _folder_contents(folder: Path, options: Options) -> Contents:
+def _read_folder(folder: Path, calibration: Calibration) -> None:
     poses_path = check_file(folder / _POSES, "the poses of the cameras")
     files = sorted(folder.glob("ocam*.txt"), key=by_numbers)
     if not files:
@@ -163,7 +156,7 @@ def _folder_contents(folder: Path, options: Options) -> Contents:
             f"{folder}: no ocam1.txt, ocam2.txt, ... beside poses.txt (one for each camera expected)"
         )
     comment = re.search(r"^# translation_unit: (\S+)", read_text(poses_path), re.MULTILINE)
-    unit = options.metres(
+    unit = calibration.options.metres(
         str(poses_path),
         "its positions ('cm' in OmniThings, OmniHouse and the urban sets)",
         comment and comment[1],
@@ -174,14 +167,12 @@ def _folder_contents(folder: Path, options: Options) -> Contents:
             f"{poses_path}: holds {len(lines)} poses, but the folder has {len(files)} cameras "
             f"({', '.join(file.name for file in files)}); one line for each camera expected"
         )
-    calibration = Gathered(options)
     for place, (file, (number, words)) in enumerate(zip(files, lines, strict=True), start=1):
         name = f"cam{file.stem.removeprefix('ocam').lstrip('_') or place}"
         where = f"{poses_path}, line {number}"
         row = numbers(words, where, 6)
         pose = transform_from_rotation_vector(row[:3], [unit * value for value in row[3:]], where)
         calibration.add(name, _ocam(file), str(file), pose, STEREO_SETS_MAX_ANGLE)
-    return calibration.contents
 
 
 def ocam_numbers(camera: Camera, format: str) -> dict[str, list[float]]:
@@ -220,7 +211,7 @@ FileFormat(
     "ocamcalib",
     "OCamCalib text, alone or several with poses.txt",
     recognizes_file=recognizes,
-    contents_of_file=contents,
+    read_file=read,
     usual_names=(_POSES,),
     tells_unit=False,
     models=("ocam",),

@@ -11,10 +11,9 @@ References:
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys
 from sphericalvision.cameras.calibration.lenses import distorted
@@ -30,9 +29,8 @@ def recognizes(content: dict[str, Any]) -> bool:
     )
 
 
-def contents(content: Keys, path: Path, options: Options) -> Contents:
+def read(content: Keys, calibration: Calibration) -> None:
     """Cameras and poses of a parsed file."""
-    calibration = Gathered(options)
     for index, values in enumerate(content.several("cameras")):
         numbers = focal_lengths(values.numbers("focal_length", 2), values.where)
         numbers += values.numbers("principal_point", 2) + values.matrix("distortion_coefficients")
@@ -40,13 +38,12 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
         where = values.at("distortion_type")
         camera = distorted(values.entry("distortion_type"), numbers, values.size("image_dimension"), where)
         calibration.add(f"cam{index}", camera, values.where, values.pose("T_SC"))
-    return calibration.contents
 
 
 FileFormat(
     "okvis",
     "OKVIS configuration",
     recognizes_keys=recognizes,
-    contents_of_keys=contents,
+    read_keys=read,
     ignored=SETTINGS + r"[^/]+|cameras/(camera_type|slam_use)",
 ).register()

@@ -13,7 +13,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import check_targets
@@ -36,12 +36,11 @@ def recognizes(content: dict[str, Any]) -> bool:
     )
 
 
-def contents(content: Keys, path: Path, options: Options) -> Contents:
+def read(content: Keys, calibration: Calibration) -> None:
     """Cameras and poses of a parsed ``config.yaml``; cameras are named ``cam<cam_id>``.
 
     ``invalid_mask`` images, white where a pixel must not be used, are read where they exist; they are seldom shipped.
     """
-    calibration = Gathered(options)
     for values in content.several("cameras"):
         name = f"cam{values.entry('cam_id')}"
         values.where += f" ({name:.80})"
@@ -50,9 +49,10 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
         world_from_camera = transform_from_rotation_vector(pose[:3], pose[3:], values.at("pose"))
         calibration.add(name, camera, values.where, world_from_camera, view)
         mask = values.get("invalid_mask")
-        if mask and (path.parent / str(mask)).is_file():
-            calibration.masks[name] = read_mask(path.parent / str(mask), camera.image_size, usable="black")
-    return calibration.contents
+        if mask and (calibration.path.parent / str(mask)).is_file():
+            calibration.masks[name] = read_mask(
+                calibration.path.parent / str(mask), camera.image_size, usable="black"
+            )
 
 
 def _camera(values: Keys) -> OCamCamera:
@@ -99,7 +99,7 @@ FileFormat(
     "omnimvs",
     "OmniMVS config.yaml",
     recognizes_keys=recognizes,
-    contents_of_keys=contents,
+    read_keys=read,
     ignored="config|dataset|cameras/img_dir",
     usual_names=("config.yaml",),
     models=("ocam",),

@@ -26,7 +26,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration, Options
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import check_holds, distorted, numbers_of
@@ -75,18 +75,18 @@ def recognizes(content: dict[str, Any]) -> bool:
     )
 
 
-def contents(content: Keys, path: Path, options: Options) -> Contents:
+def read(content: Keys, calibration: Calibration) -> None:
     """The camera or the two cameras of a parsed file."""
-    _add_other_half(content, path)
-    where, calibration = str(path), Gathered(options)
+    _add_other_half(content, calibration.path)
+    where, options = content.where, calibration.options
     if find(content, MATRIX):
         camera = _as_published(_camera(content, "", where, options), content)
-        return calibration.add(str(content.get("camera_name") or "cam1"), camera, where).contents
-    lenses = [_camera(content, index, f"{path}, camera {index}", options) for index in ("1", "2")]
+        calibration.add(str(content.get("camera_name") or "cam1"), camera, where)
+        return
+    lenses = [_camera(content, index, f"{content.where}, camera {index}", options) for index in ("1", "2")]
     poses = _poses(content, options)
     for index, (camera, pose) in enumerate(zip(lenses, poses, strict=True), start=1):
-        calibration.add(f"cam{index}", camera, f"{path}, camera {index}", pose)
-    return calibration.contents
+        calibration.add(f"cam{index}", camera, f"{content.where}, camera {index}", pose)
 
 
 def _poses(content: Keys, options: Options) -> tuple[Tensor | None, Tensor | None]:
@@ -265,7 +265,7 @@ FileFormat(
     "opencv",
     "OpenCV FileStorage, ROS camera_info",
     recognizes_keys=recognizes,
-    contents_of_keys=contents,
+    read_keys=read,
     usual_names=("extrinsics.yml",),
     tells_unit=False,
     ignored=_IGNORED,

@@ -13,13 +13,12 @@ References:
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import distorted
@@ -47,15 +46,16 @@ def recognizes(content: dict[str, Any]) -> bool:
     )
 
 
-def contents(content: Keys, path: Path, options: Options) -> Contents:
+def read(content: Keys, calibration: Calibration) -> None:
     """The lenses by name; or if poses are wanted, a camera for each shot."""
     lenses = content.inner("cameras") if "shots" in content else content
-    cameras = Gathered(options)
+    wants_shots = calibration.options.rig and "shots" in content
+    cameras = Calibration(calibration.options, calibration.path) if wants_shots else calibration
     for name in lenses:
         cameras.add(str(name), _camera(lenses.inner(name)), lenses.at(name))
-    if not options.rig or "shots" not in content:
-        return cameras.contents
-    shots, calibration, rigs = content.inner("shots"), Gathered(options), _rig_poses(content)
+    if not wants_shots:
+        return
+    shots, rigs = content.inner("shots"), _rig_poses(content)
     for file in shots:
         shot = shots.inner(file)
         lens, name = str(shot.entry("camera")), view_name(file)
@@ -67,9 +67,6 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
             raise FileFormatError(f"{shot.at('orientation')}: expected 1, an image that is not turned")
         pose = invert_transform(rigs.get(file, _pose(shot)))
         calibration.add(name, cameras.cameras[lens], shot.where, pose)
-    if not calibration.cameras:
-        raise FileFormatError(f"{path}, shots: expected at least one")
-    return calibration.contents
 
 
 def _rig_poses(content: Keys) -> dict[str, Tensor]:
@@ -109,7 +106,7 @@ FileFormat(
     "opensfm",
     "OpenSfM and ODM cameras or reconstruction",
     recognizes_keys=recognizes,
-    contents_of_keys=contents,
+    read_keys=read,
     usual_names=("reconstruction.json", "camera_models.json"),
     ignored=r"points|shots|biases|rig_\w+|reference_lla|reference|.*/\w+_prior|shots/.*/(gps_\w+|capture_time|vertices"
     r"|faces|scale|covariance|merge_cc|is_\w+|compass|skey|gravity_\w+)",

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys
 from sphericalvision.cameras.calibration.lenses import Lens, lens_of, models_of, numbers_of
@@ -44,14 +44,14 @@ def recognizes(content: dict[str, Any]) -> bool:
     return is_ours and not any(key in content for key in ("Camera.model", "Camera.cols", "Camera.rows"))
 
 
-def contents(content: Keys, path: Path, options: Options) -> Contents:
+def read(content: Keys, calibration: Calibration) -> None:
     """The camera or the two cameras of a parsed file, and their poses as far as the file has any."""
     first = "Camera1" if any(str(key).startswith("Camera1.") for key in content) else "Camera"
     body, stereo = _transform(content, _BODY), _transform(content, _STEREO)
     start = torch.eye(4, dtype=torch.float64) if body is None else body
-    calibration = Gathered(options)
     if "Camera2.fx" not in content:
-        return calibration.add("cam1", _camera(content, first), content.at(first), body).contents
+        calibration.add("cam1", _camera(content, first), content.at(first), body)
+        return
     calibration.add("cam1", _camera(content, first), content.at(first), start)
     second = None if stereo is None else start @ stereo
     length = 0.0 if stereo is None else float(stereo[:3, 3].norm())
@@ -59,7 +59,7 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
         raise FileFormatError(
             f"{content.at('Stereo.b')}: expected the {length:.3g} m of T_c1_c2, got another baseline; correct one"
         )
-    return calibration.add("cam2", _camera(content, "Camera2"), content.at("Camera2"), second).contents
+    calibration.add("cam2", _camera(content, "Camera2"), content.at("Camera2"), second)
 
 
 def _transform(content: Keys, keys: tuple[str, ...]) -> Tensor | None:
@@ -120,7 +120,7 @@ FileFormat(
     "orbslam",
     "ORB-SLAM3 settings",
     recognizes_keys=recognizes,
-    contents_of_keys=contents,
+    read_keys=read,
     ignored=SETTINGS + r"(?!Camera|Stereo|IMU\.T|LEFT|RIGHT|T).*|ThDepth"
     r"|Camera\d?\.(fps|RGB|bf|b[Ff]ish[Ee]ye|newWidth|newHeight|imageScale|(overl|l)apping(Begin|End))|Stereo\.(ThDepth|b)",
     models=models_of(_LENSES),

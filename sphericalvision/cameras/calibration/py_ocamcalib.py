@@ -16,18 +16,17 @@ References:
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration
 from sphericalvision.cameras.calibration.formats import FileFormat, has_all
 from sphericalvision.cameras.calibration.keys import Keys
-from sphericalvision.cameras.calibration.ocam_text import make_ocam_of_columns
+from sphericalvision.cameras.calibration.ocam_text import make_ocam
 from sphericalvision.cameras.calibration.parsing import numbers
 from sphericalvision.core import FileFormatError, short_repr
 
 
-def contents(content: Keys, path: Path, options: Options) -> Contents:
+def read(content: Keys, calibration: Calibration) -> None:
     """The camera of a parsed file, called by its ``camera_name``."""
     where, taylor = content.where, content.numbers("taylor_coefficient")
     if not taylor[0] > 0:
@@ -36,12 +35,12 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
         )
     center = content.numbers("distortion_center", 2)
     c, d, e = _stretch(content.entry("stretch_matrix"), content.at("stretch_matrix"))
-    size = options.given_size(where)
+    size = calibration.options.given_size(where)
     direct = [-value for value in taylor]
-    camera = make_ocam_of_columns(direct, None, center, [c, d, e], size, content.at("stretch_matrix"))
+    camera = make_ocam(direct, None, center, [c, d, e], size, content.at("stretch_matrix"), of_columns=True)
     name = content.get("camera_name")
-    name = name if isinstance(name, str) and name else path.stem
-    return Gathered(options).add(name, camera, where).contents
+    name = name if isinstance(name, str) and name else calibration.path.stem
+    calibration.add(name, camera, where)
 
 
 def _stretch(rows: Any, where: str) -> tuple[float, float, float]:
@@ -58,6 +57,6 @@ FileFormat(
     "py_ocamcalib",
     "py-OCamCalib json",
     recognizes_keys=has_all("taylor_coefficient"),
-    contents_of_keys=contents,
+    read_keys=read,
     ignored=r"valid|inverse_poly|extrinsics_t\w*|img_path|\w*_?images?_path",
 ).register()

@@ -21,7 +21,7 @@ from pathlib import Path
 from torch import Tensor
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration, Options
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys, check_understood, with_keys
 from sphericalvision.cameras.calibration.lenses import Lens
@@ -47,7 +47,7 @@ def files_of_rig(folder: Path) -> list[Path]:
     return [path for path in sorted(folder.glob("*.xmp"), key=by_numbers) if recognizes(path)]
 
 
-def contents(path: Path, options: Options) -> Contents:
+def read(path: Path, calibration: Calibration) -> None:
     """The camera of a file, called like it, and its pose if the file has one."""
     root = parse_xml(read_text(path), path)
     pairs = []
@@ -57,10 +57,10 @@ def contents(path: Path, options: Options) -> Contents:
         pairs += [(key, text) for key, text in element.attrib.items() if _XCR in key]
     words = once(((key.removeprefix(_XCR), text.split()) for key, text in pairs), path)
     values = with_keys(words, str(path))
-    camera = _camera(values, path, options)
+    camera = _camera(values, path, calibration.options)
     pose = _pose(values) if "Rotation" in values or "Position" in values else None
     check_understood(values, str(path), _IGNORED)
-    return Gathered(options).add(path.stem, camera, str(path), pose).contents
+    calibration.add(path.stem, camera, str(path), pose)
 
 
 def _camera(values: Keys, path: Path, options: Options) -> Camera:
@@ -101,6 +101,6 @@ FileFormat(
     "realitycapture",
     "RealityCapture xmp",
     recognizes_file=recognizes,
-    contents_of_file=contents,
+    read_file=read,
     files_of_rig=files_of_rig,
 ).register()

@@ -11,10 +11,9 @@ References:
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.lenses import distorted
@@ -30,12 +29,11 @@ def recognizes(content: dict[str, Any]) -> bool:
     return isinstance(sensor, dict) and "cameras" in sensor
 
 
-def contents(content: Keys, path: Path, options: Options) -> Contents:
+def read(content: Keys, calibration: Calibration) -> None:
     """Cameras by label and poses of a parsed file."""
     sensor, key = content.inner("sensor"), "T_cam_lidar_t_xyz_q_xyzw"
     model = _MODELS[sensor.chosen("camera_model", _MODELS)]
     view = sensor.half_view("camera_fov")
-    calibration = Gathered(options)
     for values in sensor.several("cameras"):
         numbers = values.numbers("intrinsics", 4)
         if values.entry("extra_params"):
@@ -45,13 +43,12 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
         pose = transform_from_numbers([turn[3], *turn[:3]], [x, y, z], values.at(key))
         camera = distorted(model, numbers, size, values.at("extra_params"))
         calibration.add(str(values.entry("label")), camera, values.where, invert_transform(pose), view)
-    return calibration.contents
 
 
 FileFormat(
     "spires",
     "Oxford Spires sensor.yaml",
     recognizes_keys=recognizes,
-    contents_of_keys=contents,
+    read_keys=read,
     ignored=r"sensor/(max_time_\w+|T_base_\w+|tf_\w+)|sensor/cameras/(topic|T_cam_imu_\w+)",
 ).register()

@@ -12,10 +12,9 @@ References:
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys
 from sphericalvision.cameras.calibration.lenses import Lens, lens_called
@@ -36,21 +35,21 @@ def recognizes(content: dict[str, Any]) -> bool:
     return sum(key in keys for key in ("model", "cols", "rows")) > 1
 
 
-def contents(content: Keys, path: Path, options: Options) -> Contents:
+def read(content: Keys, calibration: Calibration) -> None:
     """The camera of a parsed file, called by its ``name``, or as the file is."""
     values, prefix = (content.inner(_SECTION), "") if _SECTION in content else (content, "Camera.")
     lens = lens_called(_LENSES, values.model(f"{prefix}model", [lens.name for lens in _LENSES]))
     size = values.size(f"{prefix}cols", f"{prefix}rows")
     intrinsics = [values.number(prefix + key) for key in lens.keys]
-    name = str(values.get(f"{prefix}name") or path.stem)
-    return Gathered(options).add(name, lens.camera(intrinsics, size, values.where), values.where).contents
+    name = str(values.get(f"{prefix}name") or calibration.path.stem)
+    calibration.add(name, lens.camera(intrinsics, size, values.where), values.where)
 
 
 FileFormat(
     "stella_vslam",
     "stella_vslam's and OpenVSLAM's settings",
     recognizes_keys=recognizes,
-    contents_of_keys=contents,
+    read_keys=read,
     ignored=SETTINGS
     + r"(?!Camera).*|Camera[./](setup|color_order|fps|focal_x_baseline|depth_threshold|depthmap_factor)",
 ).register()

@@ -13,11 +13,10 @@ References:
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 from sphericalvision.cameras.base import Camera
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys
 from sphericalvision.cameras.calibration.lenses import distorted
@@ -35,16 +34,16 @@ def recognizes(content: dict[str, Any]) -> bool:
     )
 
 
-def contents(content: Keys, path: Path, options: Options) -> Contents:
+def read(content: Keys, calibration: Calibration) -> None:
     """Cameras, called by their labels, and poses of a parsed file."""
     if content.number("scale", 1) != 1:
         raise FileFormatError(
-            f"{path}, scale: expected 1, got {content['scale']}; the numbers are those of images before the program "
-            "makes them smaller: leave it out to read these"
+            f"{content.at('scale')}: expected 1, got {content['scale']}; the numbers are those of images before the "
+            "program makes them smaller: leave it out to read these"
         )
-    calibration = Gathered(options)
     if "cam_model" in content:
-        return calibration.add(path.stem, _first_age(content), content.where).contents
+        calibration.add(calibration.path.stem, _first_age(content), content.where)
+        return
     cameras = content.several("cameras")
     lenses = [values.inner("camera") for values in cameras]
     names = [str(lens.get("label") or f"cam{index}") for index, lens in enumerate(lenses)]
@@ -52,7 +51,6 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
         names = [f"cam{index}" for index in range(len(names))]
     for name, lens, values in zip(names, lenses, cameras, strict=True):
         calibration.add(name, _camera(lens), values.where, values.pose("T_B_C"))
-    return calibration.contents
 
 
 def _camera(values: Keys) -> Camera:
@@ -82,6 +80,6 @@ FileFormat(
     "svo",
     "SVO and SVO Pro cameras",
     recognizes_keys=recognizes,
-    contents_of_keys=contents,
+    read_keys=read,
     ignored=SETTINGS + r"(?!cam)[^/]+|cameras/camera/line-delay-nanoseconds",
 ).register()

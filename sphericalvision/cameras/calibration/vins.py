@@ -12,18 +12,16 @@ References:
 from __future__ import annotations
 
 import warnings
-from pathlib import Path
 
 from sphericalvision.cameras.calibration import camodocal
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration
 from sphericalvision.cameras.calibration.formats import FileFormat, has_any
 from sphericalvision.cameras.calibration.keys import SETTINGS, Keys
 from sphericalvision.core import FileFormatError, check_file, short_repr
 
 
-def contents(content: Keys, path: Path, options: Options) -> Contents:
+def read(content: Keys, calibration: Calibration) -> None:
     """The cameras ``cam0`` and ``cam1`` of a parsed file, and their poses."""
-    calibration = Gathered(options)
     count = 2 if "cam1_calib" in content else 1
     if content.number("num_of_cam", count) != count:
         raise FileFormatError(
@@ -42,23 +40,24 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
             raise FileFormatError(
                 f"{content.at(key)}: expected the name of a file, got {short_repr(file_name)}"
             )
-        file = check_file(path.parent / file_name, f"the calibration of {name}, which {path} names")
+        file = check_file(
+            calibration.path.parent / file_name, f"the calibration of {name}, which {content.where} names"
+        )
         try:
             camera = camodocal.camera_in(file)
         except FileFormatError as error:
-            raise FileFormatError(f"{error}; {path} names it for {name}") from error
+            raise FileFormatError(f"{error}; {content.where} names it for {name}") from error
         sides = ("image_width", "image_height")
         if any(side in content for side in sides) and content.size(*sides) != camera.image_size:
             raise FileFormatError(f"{content.at(*sides)}: differ from those of {file}; correct one")
         calibration.add(name, camera, str(file), content.pose(f"body_T_{name}"))
-    return calibration.contents
 
 
 FileFormat(
     "vins",
     "VINS-Fusion estimator yaml",
     recognizes_keys=has_any("cam0_calib", "num_of_cam"),
-    contents_of_keys=contents,
+    read_keys=read,
     ignored=SETTINGS
     + "(?!image_|cam|body|num_of_cam|extrinsic|distortion|projection|model).*|image\\d?_topic",
 ).register()

@@ -19,7 +19,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from sphericalvision.cameras.calibration.contents import Contents, Gathered, Options
+from sphericalvision.cameras.calibration.contents import Calibration
 from sphericalvision.cameras.calibration.formats import FileFormat
 from sphericalvision.cameras.calibration.keys import Keys
 from sphericalvision.cameras.calibration.parsing import errors_of_file
@@ -37,7 +37,7 @@ def recognizes(content: dict[str, Any]) -> bool:
     )
 
 
-def contents(content: Keys, path: Path, options: Options) -> Contents:
+def read(content: Keys, calibration: Calibration) -> None:
     """The camera of a parsed file, called by its ``name``, and its pose if the file has one."""
     values = content.inner("intrinsic")
     values.chosen("model", ("radial_poly",), default="radial_poly")
@@ -48,9 +48,9 @@ def contents(content: Keys, path: Path, options: Options) -> Contents:
     aspect = values.number("aspect_ratio", 1.0)
     with errors_of_file(values.where):
         camera = RadialPolynomialCamera(coefficients, center, aspect, size)
-    name = str(content.get("name") or path.stem)
+    name = str(content.get("name") or calibration.path.stem)
     pose = _pose(content.inner("extrinsic")) if "extrinsic" in content else None
-    return Gathered(options).add(name, camera, values.where, pose).contents
+    calibration.add(name, camera, values.where, pose)
 
 
 def _pose(values: Keys) -> Tensor:
@@ -73,7 +73,7 @@ FileFormat(
     "woodscape",
     "WoodScape json",
     recognizes_keys=recognizes,
-    contents_of_keys=contents,
+    read_keys=read,
     ignored="",
     files_of_rig=files_of_rig,
 ).register()

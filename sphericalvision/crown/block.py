@@ -20,9 +20,9 @@ from sphericalvision.shapes import check_shapes
 class _CrownConvNorm(nn.Module):
     """A crown convolution, the normalisation after it and, if asked for, a ReLU."""
 
-    conv: CrownConv2d | CrownConv3d
-    norm: _CrownBatchNorm
-    relu: bool
+    def __init__(self, conv: CrownConv2d | CrownConv3d, norm: _CrownBatchNorm, relu: bool) -> None:
+        super().__init__()
+        self.conv, self.norm, self.relu = conv, norm, relu
 
     def forward(self, crown: Crown) -> Crown:
         check_crown(crown)
@@ -64,10 +64,8 @@ class CrownConvNorm2d(_CrownConvNorm):
     def __init__(
         self, in_channels: int, out_channels: int, stride: int = 1, norm: str = "batch", relu: bool = False
     ) -> None:
-        super().__init__()
-        self.conv = CrownConv2d(in_channels, out_channels, stride)
-        self.norm = crown_norm(norm, 2, out_channels)
-        self.relu = relu
+        conv = CrownConv2d(in_channels, out_channels, stride)
+        super().__init__(conv, crown_norm(norm, 2, out_channels), relu)
 
 
 class CrownConvNorm3d(_CrownConvNorm):
@@ -80,10 +78,8 @@ class CrownConvNorm3d(_CrownConvNorm):
     """
 
     def __init__(self, in_channels: int, out_channels: int, norm: str = "batch", relu: bool = False) -> None:
-        super().__init__()
-        self.conv = CrownConv3d(in_channels, out_channels)
-        self.norm = crown_norm(norm, 3, out_channels)
-        self.relu = relu
+        conv = CrownConv3d(in_channels, out_channels)
+        super().__init__(conv, crown_norm(norm, 3, out_channels), relu)
 
 
 Layer = _CrownConvNorm | CrownConv2d | CrownConv3d

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Captures as commands name them: calibration, cameras and masks as one value, and what commands print of them."""
 
-from __future__ import annotations
-
 import dataclasses
 import glob
 import math

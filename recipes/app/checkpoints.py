@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Trainings that start from checkpoints, and errors that say why one does not fit."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar

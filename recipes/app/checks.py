@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Configurations as typed values: pydantic compares values with type hints, and errors name the key."""
 
-from __future__ import annotations
-
 import dataclasses
 import inspect
 import json

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Helpers of all commands: objects from configs, printed configs and tables, the device."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Container, Iterable, Iterator, Mapping, Sized
 from dataclasses import is_dataclass

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Errors for users in one paragraph: what is wrong, and what to write instead."""
 
-from __future__ import annotations
-
 import difflib
 import os
 import re

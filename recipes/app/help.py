@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """``--help``: every key of a command with its value and its comment in the YAML files."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Iterator, Sequence

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Types of the values in configurations, as hints: of the commands' keys, and of parameters of ``_target_``s."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from typing import Annotated, Literal

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The table of a multi-run: what each run changed, and what came out, written when the last run has ended."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Python files in a folder of one's own configs (``--config-dir``): networks, cameras, losses without a package."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import sys

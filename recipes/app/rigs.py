@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rigs as configs describe them: angles in degrees, files by name."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From the words of a command line to the function that does the work: help, version, checks, then Hydra."""
 
-from __future__ import annotations
-
 import atexit
 import gc
 import io

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Command lines: parsing, quoting of values that Hydra cannot read, and the command lines of next steps."""
 
-from __future__ import annotations
-
 import argparse
 import difflib
 import json

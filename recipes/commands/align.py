@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Orientations of a rig's cameras from its own images: the work behind ``sphericalvision-align``."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Mapping, Sequence

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cameras and rigs from pictures of a board: the work behind ``sphericalvision-calibrate``."""
 
-from __future__ import annotations
-
 import glob
 import math
 import re

@@ -2,8 +2,6 @@
 """Cameras as another model or file, or beside another calibration: ``sphericalvision-convert calibration=a.yaml
 to=kannala_brandt output=b.yaml``, ``calibration=a.yaml with=b.yaml``."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

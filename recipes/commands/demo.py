@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Four rendered fisheye images to a depth map of the full sphere: ``python -m sphericalvision.recipes.demo``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A network with the tables of a rig inside as files that run without this package: ``.pt2`` and ONNX."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Annotated, Literal

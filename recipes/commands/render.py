@@ -4,8 +4,6 @@
 Runs fill a folder together, all with the same settings.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal

@@ -5,8 +5,6 @@ Everything goes to one folder: the resolved config, checkpoints and their weight
 TensorBoard), depth panels and the final table.
 """
 
-from __future__ import annotations
-
 import logging
 import warnings
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A capture without truth as training data: a trained network and a sweep give the depth that is learned."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, NamedTuple

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results of sweep and prior for samples, computed once and kept: half the cost of a training step."""
 
-from __future__ import annotations
-
 from hashlib import sha256
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Training data as one long, repeatable stream, and the loaders that every data module has."""
 
-from __future__ import annotations
-
 import multiprocessing
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterator

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Data modules whose samples have depth, as a network takes them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated, Any, Literal

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The entries of samples that a network takes from a batch."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """OmniThings and its kin as training, validation and test data, without what of them cannot be read."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Annotated, Any, Literal
 

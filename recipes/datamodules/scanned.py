@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Real captures with the points of a scanner as training, validation and test data."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """An experiment on why ``CrownConv2d`` lags: taps that point the same way in columns and rows."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from sphericalvision.crown import Crown, CrownConv2d

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The handwritten digits that come with scikit-learn, drawn on a sphere, upright or randomly rotated, as data."""
 
-from __future__ import annotations
-
 import functools
 import math
 from dataclasses import dataclass

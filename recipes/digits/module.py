@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Classification on the sphere as a Lightning module: network, cross entropy, and accuracy in each orientation."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

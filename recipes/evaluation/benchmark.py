@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """``sphericalvision-benchmark``: methods by tracks, in processes."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The measure of the comparison: errors at vertices, on a panorama, in metres, by kind of place, by confidence."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The study's measure: errors at vertices and on panoramas by every protocol that its tables show."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

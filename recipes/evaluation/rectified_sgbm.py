@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Depth of fisheyes as it is mostly made: rectified pairs, a stereo method for ordinary images, one panorama of all."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, ClassVar, Literal
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The metrics of Helvipad, and its published table: errors along the rays of the camera that has the truth."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The frames of a track: what the cameras show, what methods are told of the rig, and the truth."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import lru_cache, partial

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tracks of the benchmark: which scenes, through which rig, disturbed how. Only data; a new track is one line."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

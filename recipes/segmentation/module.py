@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Segmentation on the sphere as a Lightning module: network, cross entropy, and mean IoU in each orientation."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from torch import Tensor

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rooms on a grid of the sphere, each place with its colour and what it shows, upright or turned, as data."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Frames on a machine that has other work, by how threads are prepared, in processes of their own."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

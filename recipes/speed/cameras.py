@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Camera models and those of other libraries: kornia, OpenCV, and ds-msp and py360convert where they are installed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from functools import partial

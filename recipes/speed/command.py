@@ -4,8 +4,6 @@
 Every figure is compared with another way to do the same work, run in turns with it; ratios are what counts.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path

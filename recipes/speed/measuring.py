@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fair measuring: all ways to do the same work run in turns, in one process, so that a busy machine slows all alike."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import platform

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Networks against the readable formulas of the same numbers, with each other, and on a GPU; planar convolutions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any

@@ -5,8 +5,6 @@ Trains or loads every model, evaluates each at every angle of the cameras, and w
 goes to one folder, and finished work is not repeated: the same command resumes after an interruption.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal

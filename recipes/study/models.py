@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The models of a study: entries of its configuration, and the network of each."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path

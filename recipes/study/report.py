@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tables and pictures of the paper's study."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

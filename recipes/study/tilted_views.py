@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The frames of a study: the same scenes through cameras tilted by each angle, or through 360° cameras."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The trainings of a study: multi-runs of ``sphericalvision-train``."""
 
-from __future__ import annotations
-
 import shlex
 import shutil
 import sys

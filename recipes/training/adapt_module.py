@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Adapting a depth network to a capture without truth: judged by photo-consistency, kept only where that rises."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

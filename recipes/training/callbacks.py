@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Callbacks of training: pictures of the validation set, progress, and regular checkpoints."""
 
-from __future__ import annotations
-
 import signal
 import sys
 import threading

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Training of depth networks: any ``DepthNetwork``, by the error of its hypothesis index."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path

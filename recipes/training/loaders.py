@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Data for Lightning's trainer."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytorch_lightning as pl

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Training that all networks share: optimiser, schedule, seeds, and contents of checkpoints."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Muon, an optimiser whose steps turn all directions of a layer's weights equally far."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 from typing import Any

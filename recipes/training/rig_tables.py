@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sweep tables of the rigs met before: making them again costs as much as a tenth of a training step."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The folder of a training: one process at a time, its checkpoints, the best of them, and going on from one."""
 
-from __future__ import annotations
-
 import copy
 import math
 import os

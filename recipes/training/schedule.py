@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learning rate that is the product of several of torch's schedulers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A training in stages: each is an experiment whose weights the next one starts from."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys

@@ -44,7 +44,11 @@ def project_parabolic(
 def unproject_parabolic(
     pixels: Tensor, focal_length: Tensor, principal_point: Tensor, bend: Tensor
 ) -> Unprojection:
-    raise NotImplementedError
+    xy = (pixels - principal_point) / focal_length
+    squared = xy.square().sum(-1)
+    root = 1 + squared * (1 - bend**2)
+    z = (root.clamp_min(0).sqrt() - squared * bend) / (squared + 1)
+    return Unprojection(torch.cat((xy * (bend + z)[..., None], z[..., None]), -1), root > 0)
 
 
 class ParabolicCamera(Camera):

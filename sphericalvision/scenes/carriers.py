@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -13,7 +12,7 @@ from torch import Tensor
 from sphericalvision.cameras import CameraRig
 from sphericalvision.core import check_choice
 from sphericalvision.scenes.kinds.palette import Palette
-from sphericalvision.scenes.rendering.primitives import Part, Primitives, map_columns, pack
+from sphericalvision.scenes.rendering.primitives import Part, Primitives, pack
 from sphericalvision.scenes.rendering.raycast import trace
 from sphericalvision.scenes.rendering.scene import Scene, pack_materials
 
@@ -57,14 +56,7 @@ def with_carrier(scene: Scene, kind: str, rig: CameraRig, seed: int = 0) -> Carr
     sides = (rig.positions - rig.center).abs().amax(0).tolist()
     pieces = {"pole": _pole, "robot": _robot, "vehicle": _vehicle}[kind](palette, sides, floor)
     body = pack(pieces).transformed(translation=rig.center.cpu().float())
-
-    def joined(*columns: Tensor) -> Tensor:
-        return torch.cat(columns)
-
-    placed = replace(body, material=body.material + len(scene.materials.texture))
-    primitives = map_columns(joined, scene.primitives, placed)
-    materials = map_columns(joined, scene.materials, pack_materials(palette.materials))
-    return Carried(replace(scene, primitives=primitives, materials=materials), body)
+    return Carried(scene.joined(body, pack_materials(palette.materials)), body)
 
 
 def carrier_masks(body: Primitives, rig: CameraRig) -> dict[str, Bool[Tensor, "h w"]]:

@@ -16,6 +16,7 @@ class Draws(NamedTuple):
     sky: torch.Generator
     rig: torch.Generator
     carrier: torch.Generator
+    clutter: torch.Generator
     faults: torch.Generator
     brightness: torch.Generator
     images: torch.Generator
@@ -24,13 +25,13 @@ class Draws(NamedTuple):
     @classmethod
     def of(cls, seed: int) -> Draws:
         """The generators of a seed."""
-        kind, rig, faults, carrier, _, brightness, sky = (
+        kind, rig, faults, carrier, clutter, brightness, sky = (
             torch.Generator().manual_seed(seed * 8 + purpose)  # eight a seed, so that no two seeds share one
             for purpose in range(7)
         )
         # The seed itself: the frames of the benchmark, and its published numbers, have what follows from it.
         images = torch.Generator().manual_seed(seed)
-        return cls(kind, sky, rig, carrier, faults, brightness, images)
+        return cls(kind, sky, rig, carrier, clutter, faults, brightness, images)
 
 
 def choose(shares: Tensor, generator: torch.Generator) -> int:

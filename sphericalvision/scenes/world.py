@@ -18,6 +18,7 @@ from sphericalvision.cameras import CameraRig
 from sphericalvision.cameras.fingerprint import rig_fingerprint
 from sphericalvision.core import ArgumentError, check_choice
 from sphericalvision.scenes.carriers import CARRIERS, Carried, carrier_masks, with_carrier
+from sphericalvision.scenes.clutter import with_clutter
 from sphericalvision.scenes.disturbances import DISPLAY, CameraDisturbance, RandomFaults, turned_poses
 from sphericalvision.scenes.draws import Draws, choose
 from sphericalvision.scenes.meshes import MeshFiles
@@ -59,6 +60,7 @@ class World:
         carrier: what carries the rig and is in view, see ``with_carrier``; or the share of seeds that have one, drawn
             from all, where the rig has no masks that would hide it.
         masked: share of carriers that the rig's masks hide.
+        clutter: share of scenes with people, screens of bars and furniture around the rig, see ``with_clutter``.
         carrier_counts: whether depth is that of the carrier where that is in view, or that of the scene behind it.
         other_sky: share of scenes under a sky that is not theirs.
         unlit: share of scenes without lamps.
@@ -86,6 +88,7 @@ class World:
     tilts: tuple[float, float] | None = None
     carrier: str | float | None = None
     masked: float = 0.0
+    clutter: float = 0.0
     carrier_counts: bool = False
     other_sky: float = 0.0
     unlit: float = 0.0
@@ -106,11 +109,11 @@ class World:
             kind_of(self.kind, 0)
         if isinstance(self.carrier, str):
             check_choice("carrier", self.carrier, CARRIERS)
-        if self.carrier is not None and self.meshes is not None:
+        if self.meshes is not None and (self.carrier is not None or self.clutter):
             raise ArgumentError(
-                "carrier: what carries the rig can be put into generated scenes, not into meshes"
+                "carrier: what carries the rig, and clutter, can be put into generated scenes, not into meshes"
             )
-        for name in ("carrier", "masked", "other_sky", "unlit", "too_bright"):
+        for name in ("carrier", "masked", "clutter", "other_sky", "unlit", "too_bright"):
             probability = getattr(self, name)
             if isinstance(probability, int | float) and not 0 <= probability <= 1:
                 raise ArgumentError(f"{name}: expected a share from 0 to 1, got {probability}")
@@ -232,6 +235,9 @@ class WorldFrame:
                 scene = exposed(unlit(scene), 0.45, center)
             if skies < world.other_sky:
                 scene = under_another_sky(scene, self.draws.sky)
+        if torch.rand((), generator=self.draws.clutter) < world.clutter:
+            start = torch.zeros(3) if center is None else center
+            scene = with_clutter(scene, start, self.draws.clutter, CLEAR_RADIUS, world.scale)
         return scene
 
     @cached_property

@@ -18,6 +18,7 @@ from sphericalvision.scenes.disturbances import DISPLAY
 from sphericalvision.scenes.draws import Draws
 from sphericalvision.scenes.procedural import make_scene
 from sphericalvision.scenes.rendering.render import ray_depth, render_directions, render_rig
+from sphericalvision.scenes.world import CLEAR_RADIUS
 from tests.values import coarse_sum, weighted_sum
 from tests.worlds import RANDOM_RIGS, random_rigs, same
 from tests.worlds import scenes as world_scenes
@@ -152,6 +153,33 @@ def test_a_carrier_is_in_view_and_in_the_truth_where_it_counts():
     assert 5 < sum(bool(sometimes.frame(seed).rig.masks) for seed in range(40)) < 20
 
 
+def test_clutter_comes_in_its_share_of_scenes_before_what_is_there_and_keeps_clear_of_the_rig():
+    rig, kinds, rays = (
+        ring_rig(3, image_size=(24, 24)),
+        ["bare", "outdoors", "floating"],
+        Icosphere(3).vertices,
+    )
+    worlds = [World(rig, kinds, clutter=share) for share in (0.0, 1.0)]
+    seen_in = 0
+    for seed in range(9):
+        without, within = (world.frame(seed) for world in worlds)
+        nearer = within.inverse_depth(rays) - without.inverse_depth(rays)
+        assert nearer.min() >= -1e-5
+        seen_in += bool(nearer.max() > 0.1)
+        added = within.scene.primitives.distance_from(rig.center)[len(without.scene.primitives) :]
+        assert (added > CLEAR_RADIUS - 1e-4).all()
+        assert len(within.shown.materials.texture) > within.shown.primitives.material.max()
+    assert seen_in >= 6  # now and then nothing has room, and thin bars are between the rays
+    large = World(rig, kinds, clutter=1.0, min_depth=1.1).frame(2)
+    assert torch.allclose(2 * large.inverse_depth(rays), worlds[1].frame(2).inverse_depth(rays), atol=1e-4)
+    sizes = [
+        len(World(rig, "bare", clutter=share).frame(seed).scene.primitives)
+        for seed in range(40)
+        for share in (0.0, 0.3)
+    ]
+    assert 5 < sum(after > before for before, after in zip(sizes[::2], sizes[1::2], strict=True)) < 20
+
+
 KNOWN = {
     0: ("rough", 3, 0.1412, True, True, 1.0, 0.0, 0.0, 12, 1.3011, -0.007, -6.573),
     1: ("glazed", 3, 0.1573, True, False, 1.5323, 0.01918, 0.004915, 60, 2.8907, 0.258, -1.0),
@@ -184,11 +212,11 @@ def test_a_seed_means_what_it_meant_when_the_weights_that_ship_were_trained():
 
 
 def test_what_is_drawn_for_one_purpose_changes_nothing_of_another():
-    purposes = ("kind", "sky", "rig", "carrier", "faults", "brightness")
+    purposes = ("kind", "sky", "rig", "carrier", "clutter", "faults", "brightness")
     streams = [getattr(Draws.of(seed), purpose).initial_seed() for seed in range(200) for purpose in purposes]
     assert len(set(streams)) == len(streams)
     plain = random_rigs(1).world
-    for changed in ({"kind": {"room": 1.0}}, {"level_rigs": 1.0}, {"carrier": 0.0}):
+    for changed in ({"kind": {"room": 1.0}}, {"level_rigs": 1.0}, {"carrier": 0.0}, {"clutter": 1.0}):
         world = random_rigs(1, values={**VALUES, **changed}).world
         for seed in range(8):
             one, other = plain.frame(seed), world.frame(seed)

@@ -135,6 +135,19 @@ class Scene:
         table = self.primitives.scaled(factor)
         return replace(self, primitives=table, materials=materials, lamps=lamps, fog=self.fog / factor)
 
+    def joined(self, more: Primitives, materials: Materials) -> Scene:
+        """The scene with more in it, whose materials are those given; its light and exposure stay."""
+
+        def both(*columns: Tensor) -> Tensor:
+            return torch.cat(columns)
+
+        placed = replace(more, material=more.material + len(self.materials.texture))
+        return replace(
+            self,
+            primitives=map_columns(both, self.primitives, placed),
+            materials=map_columns(both, self.materials, materials),
+        )
+
 
 def pack_materials(materials: Sequence[Material]) -> Materials:
     """Make the table of a list of materials (float32, CPU)."""

@@ -39,6 +39,7 @@ class DepthModule(TrainingModule):
         recompute: train in less memory for a third more work; the results are the same.
         learns: what the names of the weights that learn begin with; all learn when not given.
         hints: fraction of the samples that a network which takes hints sees with one simulated from the truth.
+        mean_with: weights whose mean with those of ``init_weights`` training starts from; none when not given.
         compile: backend by which ``torch.compile`` makes one program of the loss, which takes minutes for each new
             number of cameras; none when not given.
 
@@ -63,6 +64,7 @@ class DepthModule(TrainingModule):
         seed: int = 0,
         learns: Sequence[str] | None = None,
         hints: Fraction = 0.35,
+        mean_with: Sequence[str] = (),
         compile: str | None = None,
     ) -> None:
         super().__init__(net, loss, optimizer, scheduler, monitor, mode, seed)
@@ -80,7 +82,7 @@ class DepthModule(TrainingModule):
                     )
                 for weight in weights:
                     weight.requires_grad_(True)
-        self.hints = hints
+        self.hints, self.mean_with = hints, mean_with
         net.configure(recompute=recompute)
         if compile is not None:
             check_choice("task.compile", compile, tuple(torch.compiler.list_backends(exclude_tags=())))
@@ -90,8 +92,22 @@ class DepthModule(TrainingModule):
         self.validation_metric = DepthIndexError(net.num_hypotheses)
 
     def initialize(self, weights: str | Path) -> None:
-        """Start from the parameters of another network; see ``checkpoints.initialize``."""
+        """Start from the parameters of another network, see ``checkpoints.initialize``; or from the mean of several.
+
+        References:
+            Wortsman et al. (2022), "Model soups: averaging weights of multiple fine-tuned models improves accuracy
+            without increasing inference time": of stages of one training, too, which start from one another.
+        """
         initialize(self.net, weights)
+        for number, each in enumerate(self.mean_with, start=2):
+            mean = {name: value.clone() for name, value in self.net.state_dict().items()}
+            initialize(self.net, each)
+            # By differences: what is the same in all, as the prior, stays the same to the bit.
+            means = {
+                name: mean[name] + (value - mean[name]) / number
+                for name, value in self.net.state_dict().items()
+            }
+            self.net.load_state_dict(means)
 
     def forward(self, images: Tensor, rig: Any, seen: Tensor | None = None) -> Tensor:
         """Hypothesis index of images seen by ``rig``, on the network's grid."""

@@ -26,7 +26,7 @@ from tests.recipes.conftest import run_recipe
 from tests.recipes.test_batches import module_of
 from tests.recipes.tiny import Run, composed
 
-STAGES = ("prior", "coarse", "fusion", "finer", "longer", "further", "sharper", "hints")
+STAGES = ("prior", "coarse", "fusion", "finer", "longer", "further", "sharper", "clutter", "hints")
 LAST = STAGES[3:]
 SMALL = """
 # @package _global_
@@ -58,7 +58,7 @@ def write_experiments(folder: Path) -> None:
         text = SMALL.format(stage=stage)
         if stage != "prior":
             text = text.replace("{level: 4, feature_channels: 4}", SIZES)
-        if stage in ("finer", "longer", "further", "sharper"):  # two steps of the refinement
+        if stage in ("finer", "longer", "further", "sharper", "clutter"):  # two steps of the refinement
             text = text.replace(
                 "    4: {", "    7: {times: 0}\n    5: {seeds: [200, 1], times: 1, batch_size: 1}\n    4: {"
             )
@@ -108,8 +108,17 @@ def test_each_stage_starts_from_the_one_before_and_learns_its_part(done: Path) -
     prior, *others = (weights(done, stage) for stage in STAGES)
     assert all(torch.equal(value, others[0][f"prior.{name}"]) for name, value in prior.items())
     for stage, (before, after) in zip(STAGES[2:], pairwise(others), strict=True):
-        parts = ("fusion.hint_gate.exit",) if stage == "hints" else ("fusion", "refinement")
-        changed = {name for name, value in after.items() if not torch.equal(value, before[name])}
+        parts, close = ("fusion", "refinement"), 0.0
+        if (
+            stage == "hints"
+        ):  # starts from the mean of the three before; the largest tensors are kept as halves
+            parts, close = ("fusion.hint_gate.exit",), 1e-3
+            before = {name: torch.stack([each[name] for each in others[-4:-1]]).mean(0) for name in after}
+        changed = {
+            name
+            for name, value in after.items()
+            if not torch.allclose(value, before[name], close, 1e-4 * close)
+        }
         assert changed
         assert all(name.startswith(parts) for name in changed)
     card = (done / "outputs/refinedsweepnet/hints.md").read_text()

@@ -8,9 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from sphericalvision.kernels import kernels
 from sphericalvision.sphere import Equirectangular, SphereConv2d, equirectangular_pad, sphere_conv2d
-from sphericalvision.sphere.fast import row_sums
 from tests.values import random_values
 
 
@@ -74,22 +72,3 @@ def test_weights_are_those_of_a_planar_convolution() -> None:
     assert torch.equal(sphere.weight, planar.weight)
     planar.load_state_dict(SphereConv2d(3, 8, 5).state_dict())
     assert isinstance(sphere, nn.Conv2d)
-
-
-@pytest.mark.parametrize("stride", [1, 2, (2, 3)])
-@pytest.mark.parametrize("size", [(6, 18), (40, 90), (7, 13)])
-def test_sums_of_rows_are_the_sampled_image(
-    size: tuple[int, int], stride: int | tuple[int, int], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """On a CPU, a few rows at a time, and on other devices: the numbers and gradients of sampling every tap."""
-    monkeypatch.setattr(row_sums, "CACHE_BYTES", 10_000)
-    images, weight = random_values(2, 4, *size).requires_grad_(), random_values(6, 2, 3, 3).requires_grad_()
-    results = []
-    for way in ("auto", "graph", "reference"):
-        with kernels(way):
-            result = sphere_conv2d(images, weight, None, stride, groups=2)
-            gradient = torch.ones_like(result).cumsum(-1).sin()
-            results.append((result, *torch.autograd.grad(result, (images, weight), gradient)))
-    for answers in zip(*results, strict=True):
-        for answer in answers[1:]:
-            torch.testing.assert_close(answer, answers[0], rtol=0, atol=1e-11)

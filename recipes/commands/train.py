@@ -171,6 +171,10 @@ def train(config: DictConfig, folder: Path) -> dict[str, float]:
         ArgumentError: ``folder`` holds a training that ``resume`` does not go on with, or one is at work in it.
     """
     start = config.init_weights
+    if start is None and config.task.get("mean_with"):
+        raise ArgumentError(
+            "task.mean_with: expected init_weights as well, of which the mean is taken; set init_weights=..."
+        )
     if config.result is not None and start is not None and Path(start).parent == Path(config.paths.stages):
         check_file(
             start, "weights of the stage before; train that first, or all by experiment=refinedsweepnet"

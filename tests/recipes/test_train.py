@@ -179,6 +179,11 @@ def hold(folder: Path, holding: Any, done: Any) -> None:
         done.wait(60)
 
 
+def test_a_mean_of_weights_needs_those_to_start_from(failing: Run, tiny_training: Words) -> None:
+    message = failing("train", *tiny_training, "task.mean_with=[refinedsweepnet]")
+    assert "set init_weights=" in message
+
+
 def test_one_training_at_a_time(tmp_path: Path) -> None:
     """The lock goes with the process that holds it, even where that is killed."""
     context = multiprocessing.get_context("fork")
